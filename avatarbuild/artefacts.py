@@ -1,0 +1,253 @@
+"""The data that travels between stages. Each artefact saves itself into a folder and loads itself from it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from avatarbuild.formats import ply
+from avatarbuild.formats.images import decode_jpeg
+
+if TYPE_CHECKING:
+    import pycolmap
+
+
+@dataclass(frozen=True)
+class StoredImage:
+    """An upright sRGB JPEG, in memory while its stage runs, on disk afterwards."""
+
+    source: bytes | Path
+
+    def data(self) -> bytes:
+        """The JPEG file's bytes."""
+        return self.source if isinstance(self.source, bytes) else self.source.read_bytes()
+
+    def rgb(self) -> np.ndarray:
+        """(h, w, 3) uint8 sRGB."""
+        return decode_jpeg(self.data())
+
+
+# the arrays of Views: name -> what follows the k of the images
+_VIEW_ARRAYS = {
+    "size": (2,),
+    "focal": (),
+    "lens": (),
+    "time": (),
+    "sharpness": (),
+    "exposure": (),
+    "white_balance": (2,),
+    "clipped": (),
+    "landmarks": (478, 3),
+    "presence": (),
+    "scores": (52,),
+    "pose": (3,),
+}
+
+
+@dataclass(frozen=True)
+class Views:
+    """
+    k upright images, and what a look at each of them tells. NaN where nothing is known.
+
+    names, files   k unique stems ('IMG_0001', '000123'), k paths relative to the capture folder
+    size           (k, 2) int: width, height
+    focal          (k,) pixels, from EXIF or the format
+    lens           (k,) int: images of equal number share one camera
+    time           (k,) s: shooting time of photos, presentation time of frames
+    sharpness      (k,) a focus measure on the face (else the image), comparable within one set
+    exposure       (k,) median linear luminance of the face (else the image)
+    white_balance  (k, 2) log(R/G), log(B/G) of the same pixels' means, linear
+    clipped        (k,) share of these pixels that are saturated
+    landmarks      (k, 478, 3) pixels (centre of the first pixel at 0.5), depth in pixels about the face's mean
+    presence       (k,) probability of a face; NaN where none was found
+    scores         (k, 52) ARKit expression scores of the detector
+    pose           (k, 3) degrees: yaw (positive: the subject looks to their left), pitch (positive: up), roll
+    """
+
+    names: list[str]
+    files: list[str]
+    images: list[StoredImage]
+    size: np.ndarray
+    focal: np.ndarray
+    lens: np.ndarray
+    time: np.ndarray
+    sharpness: np.ndarray
+    exposure: np.ndarray
+    white_balance: np.ndarray
+    clipped: np.ndarray
+    landmarks: np.ndarray
+    presence: np.ndarray
+    scores: np.ndarray
+    pose: np.ndarray
+
+    def __post_init__(self) -> None:
+        for name, tail in _VIEW_ARRAYS.items():
+            shape = getattr(self, name).shape
+            assert shape == (len(self.names), *tail), f"Views.{name} has shape {shape}"
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def trusted(self, presence: float, max_yaw: float) -> np.ndarray:
+        """(k,) bool: a face was found whose landmarks can be trusted."""
+        with np.errstate(invalid="ignore"):
+            return (self.presence >= presence) & (np.abs(self.pose[:, 0]) <= max_yaw)
+
+    def save(self, folder: Path) -> None:
+        folder.mkdir(parents=True)
+        for name, image in zip(self.names, self.images):
+            (folder / f"{name}.jpg").write_bytes(image.data())
+        with (folder / "views.npz").open("wb") as f:
+            np.savez(f, **{name: getattr(self, name) for name in _VIEW_ARRAYS})
+        _write_json(folder / "views.json", {"names": self.names, "files": self.files})
+
+    @staticmethod
+    def load(folder: Path) -> Views:
+        about = _read_json(folder / "views.json")
+        with np.load(folder / "views.npz") as arrays:
+            values = {name: arrays[name] for name in _VIEW_ARRAYS}
+        images = [StoredImage(folder / f"{name}.jpg") for name in about["names"]]
+        return Views(names=about["names"], files=about["files"], images=images, **values)
+
+
+@dataclass(frozen=True)
+class Clip:
+    """
+    The video that the avatar learns from.
+
+    file       path relative to the capture folder
+    size       upright width, height;  fps nominal;  times (f,) s of every decoded frame, first 0
+    focal      pixels, from metadata or the format's usual lens, a prior only
+    processed  (j,) int: the decoded frames that `frames` holds
+    frames     their images and landmarks
+    """
+
+    file: str
+    size: tuple[int, int]
+    fps: float
+    times: np.ndarray
+    focal: float
+    processed: np.ndarray
+    frames: Views
+
+
+@dataclass(frozen=True)
+class Capture:
+    """
+    What was recorded, made upright and sRGB, with landmarks.
+
+    photos   k photos, in shooting order
+    clip     the expression video, or None
+    frontal  index of the most frontal photo, -1 where no face was found
+    neutral  (k,) bool: photos with the common, neutral expression, eyes open
+    face     True where enough photos show a face for a metric head
+    settings what capture.toml says: {'known_length': {...}, ...}
+    """
+
+    photos: Views
+    clip: Clip | None
+    frontal: int
+    neutral: np.ndarray
+    face: bool
+    settings: dict[str, Any] = field(default_factory=dict)
+    figures: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+    def save(self, folder: Path) -> None:
+        self.photos.save(folder / "photos")
+        about: dict[str, Any] = {"frontal": self.frontal, "face": self.face, "settings": self.settings, "clip": None}
+        about["neutral"] = [bool(v) for v in self.neutral]
+        if self.clip is not None:
+            self.clip.frames.save(folder / "frames")
+            with (folder / "clip.npz").open("wb") as f:
+                np.savez(f, times=self.clip.times, processed=self.clip.processed)
+            about["clip"] = {
+                "file": self.clip.file,
+                "size": list(self.clip.size),
+                "fps": self.clip.fps,
+                "focal": self.clip.focal,
+            }
+        _write_json(folder / "capture.json", about)
+
+    @staticmethod
+    def load(folder: Path) -> Capture:
+        about = _read_json(folder / "capture.json")
+        clip = None
+        if about["clip"] is not None:
+            c = about["clip"]
+            with np.load(folder / "clip.npz") as arrays:
+                times, processed = arrays["times"], arrays["processed"]
+            frames = Views.load(folder / "frames")
+            clip = Clip(c["file"], (c["size"][0], c["size"][1]), c["fps"], times, c["focal"], processed, frames)
+        neutral = np.array(about["neutral"], bool)
+        photos = Views.load(folder / "photos")
+        return Capture(photos, clip, about["frontal"], neutral, about["face"], about["settings"])
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """
+    Where the photos were taken from.
+
+    model    a COLMAP model: in millimetres and the head frame where `metric`, else in COLMAP's own units;
+             images are named like the stored photos ('IMG_0001.jpg'), cameras are for their full size
+    metric   whether the scale is known
+    scale    where the scale comes from: {'source': 'iris' | 'known length' | 'none', 'relative_sd': …, …}
+    """
+
+    model: pycolmap.Reconstruction
+    metric: bool
+    scale: dict[str, Any]
+    figures: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+    def save(self, folder: Path) -> None:
+        (folder / "sparse").mkdir(parents=True)
+        self.model.write_binary(str(folder / "sparse"))
+        _write_json(folder / "scale.json", {"metric": self.metric, "scale": self.scale})
+
+    @staticmethod
+    def load(folder: Path) -> Cameras:
+        import pycolmap
+
+        about = _read_json(folder / "scale.json")
+        model = pycolmap.Reconstruction()
+        model.read_binary(str(folder / "sparse"))
+        return Cameras(model, about["metric"], about["scale"])
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """
+    Oriented, coloured points of the head, in the cameras' units and frame.
+
+    points (n, 3) float32, normals (n, 3) float32 unit, outward, colours (n, 3) uint8 sRGB, views (n,) uint8: photos
+    that agree on the point.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    colours: np.ndarray
+    views: np.ndarray
+    figures: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+    def save(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "points.ply").write_bytes(ply.cloud_bytes(self.points, self.normals, self.colours, self.views))
+
+    @staticmethod
+    def load(folder: Path) -> Cloud:
+        return Cloud(*ply.read_cloud((folder / "points.ply").read_bytes()))
+
+
+def _write_json(path: Path, value: Any) -> None:
+    path.write_text(json.dumps(value, indent=1, ensure_ascii=False, sort_keys=True) + "\n", encoding="utf-8")
+
+
+def _read_json(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))

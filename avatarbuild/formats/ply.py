@@ -1,0 +1,42 @@
+"""Point clouds as binary little-endian PLY."""
+
+from __future__ import annotations
+
+import numpy as np
+
+_VERTEX = np.dtype(
+    [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")]
+    + [(name, "u1") for name in ("red", "green", "blue", "views")]
+)
+_NAMES = {"<f4": "float", "|u1": "uchar"}
+
+
+def _header(n: int) -> bytes:
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
+    lines += [f"property {_NAMES[_VERTEX[name].str]} {name}" for name in _VERTEX.names or ()]
+    return ("\n".join([*lines, "end_header"]) + "\n").encode("ascii")
+
+
+def cloud_bytes(points: np.ndarray, normals: np.ndarray, colours: np.ndarray, views: np.ndarray) -> bytes:
+    """A PLY file of points (n, 3), normals (n, 3), colours (n, 3) uint8 and views (n,) uint8."""
+    rows = np.empty(len(points), _VERTEX)
+    for i, axis in enumerate("xyz"):
+        rows[axis], rows[f"n{axis}"] = points[:, i], normals[:, i]
+    for i, name in enumerate(("red", "green", "blue")):
+        rows[name] = colours[:, i]
+    rows["views"] = views
+    return _header(len(points)) + rows.tobytes()
+
+
+def read_cloud(data: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Points, normals (float32), colours and views (uint8) of a file written by `cloud_bytes`.
+
+    Raises ValueError for any other layout.
+    """
+    end = data.find(b"end_header\n") + len(b"end_header\n")
+    rows = np.frombuffer(data, _VERTEX, offset=end)
+    if data[:end] != _header(len(rows)):
+        raise ValueError("not a point cloud written by this program")
+    stack = lambda names: np.stack([rows[name] for name in names], axis=1)  # noqa: E731
+    return stack("x y z".split()), stack("nx ny nz".split()), stack("red green blue".split()), rows["views"].copy()

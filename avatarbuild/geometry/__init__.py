@@ -1,0 +1,1 @@
+"""Cameras, meshes, images of meshes: arrays in, arrays out."""

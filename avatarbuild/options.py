@@ -1,0 +1,113 @@
+"""The options of every stage: one frozen dataclass a stage; a field's default, unit and sentence are its documentation."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from dataclasses import dataclass, field
+from typing import Any
+
+from avatarbuild.errors import InputError
+
+QUALITIES = ("draft", "standard", "high")
+
+
+def option(default: Any, unit: str, sentence: str, *, draft: Any = None, high: Any = None, least: Any = None) -> Any:
+    """A field that is an option: `default` at standard quality, `draft` and `high` where they differ."""
+    about = {"unit": unit, "sentence": sentence, "draft": draft, "high": high, "least": least}
+    return field(default=default, metadata=about)
+
+
+@dataclass(frozen=True)
+class CaptureOptions:
+    """Reading photos and video, landmarks."""
+
+    frame_rate: float = option(3.0, "Hz", "Video frames processed a second; sharp ones are preferred.", least=0.1)
+    max_megapixels: float = option(16.0, "megapixels", "Larger photos are scaled down to this size.", draft=4.0, least=0.5)
+    jpeg_quality: int = option(97, "1-100", "JPEG quality of the upright copies kept in the project.", least=50)
+    presence: float = option(0.9, "probability", "Least presence score at which a face's landmarks are trusted.", least=0.0)
+    max_yaw: float = option(60.0, "degrees", "Largest head yaw at which landmarks are trusted.", least=10.0)
+
+
+@dataclass(frozen=True)
+class CamerasOptions:
+    """Structure from motion."""
+
+    max_image_size: int = option(2400, "pixels", "Longest side of the images that features are found in.", draft=1200, least=320)
+    max_features: int = option(8192, "features", "SIFT features kept an image, largest scales first.", draft=4096, least=500)
+    exhaustive_up_to: int = option(24, "photos", "Sets up to this size are matched pair by pair, all of them.", least=2)
+    overlap: int = option(8, "photos", "Neighbours in shooting order that each photo is matched with.", least=2)
+    loop_pairs: int = option(8, "photos", "Photos further away in order, alike in view, that each photo is matched with.", least=0)
+    iris_diameter: float = option(11.7, "mm", "Horizontal visible iris diameter that gives the metric scale.", least=9.0)
+    features: str = option("auto", "auto, all, head", "Which features place the cameras: all, the head's alone, or the better.")
+
+
+@dataclass(frozen=True)
+class PointsOptions:
+    """Dense multi-view stereo."""
+
+    backend: str = option("auto", "auto, cpu, cuda", "PatchMatch on the processor, or COLMAP's on a CUDA card.")
+    max_image_size: int = option(1152, "pixels", "Longest side of the images that are matched.", draft=768, high=1600, least=200)
+    sources: int = option(4, "photos", "Source photos each photo is matched against.", least=2)
+    window: int = option(5, "pixels", "Half width of the matching window.", least=2)
+    min_views: int = option(3, "photos", "Photos that must agree on a point, the reference among them.", least=2)
+
+
+STAGE_OPTIONS: dict[str, type] = {"capture": CaptureOptions, "cameras": CamerasOptions, "points": PointsOptions}
+
+
+def nearest(word: str, words: list[str]) -> str:
+    """A hint for a misspelt word: ', did you mean X?' or the list of what there is."""
+    close = difflib.get_close_matches(word, words, n=1, cutoff=0.4)
+    return f"did you mean '{close[0]}'?" if close else f"there are: {', '.join(words)}"
+
+
+def _parse(key: str, text: str, default: Any, least: Any) -> Any:
+    try:
+        if isinstance(default, bool):
+            value: Any = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}[text.lower()]
+        elif isinstance(default, int):
+            value = int(text)
+        elif isinstance(default, float):
+            value = float(text)
+        else:
+            value = text
+    except (ValueError, KeyError):
+        raise InputError(f"option {key} is '{text}': a value like {default} is needed") from None
+    if least is not None and not value >= least:
+        raise InputError(f"option {key} is {value}: at least {least} is needed")
+    return value
+
+
+def stage_options(quality: str = "standard", settings: dict[str, str] | None = None) -> dict[str, Any]:
+    """
+    The options of all stages for a quality and the user's `stage.option -> text` settings.
+
+    Raises InputError for an unknown stage, option or quality (naming the nearest real one) and for a value of the
+    wrong kind.
+    """
+    if quality not in QUALITIES:
+        raise InputError(f"no quality '{quality}', {nearest(quality, list(QUALITIES))}")
+    values: dict[str, dict[str, Any]] = {}
+    for stage, kind in STAGE_OPTIONS.items():
+        values[stage] = {
+            f.name: f.metadata[quality]
+            for f in dataclasses.fields(kind)
+            if quality != "standard" and f.metadata.get(quality) is not None
+        }
+    for key, text in (settings or {}).items():
+        stage, _, name = key.partition(".")
+        if stage not in STAGE_OPTIONS:
+            raise InputError(f"no stage '{stage}' in option {key}, {nearest(stage, list(STAGE_OPTIONS))}")
+        fields = {f.name: f for f in dataclasses.fields(STAGE_OPTIONS[stage])}
+        if name not in fields:
+            hint = nearest(name, list(fields)).replace("did you mean '", f"did you mean '{stage}.")
+            raise InputError(f"no option '{key}', {hint}")
+        about = fields[name].metadata
+        value = _parse(key, text, fields[name].default, about["least"])
+        if isinstance(value, str):
+            words = [w.strip() for w in about["unit"].split(",")]
+            if value not in words:
+                raise InputError(f"option {key} is '{value}', {nearest(value, words)}")
+        values[stage][name] = value
+    return {stage: kind(**values[stage]) for stage, kind in STAGE_OPTIONS.items()}

@@ -1,0 +1,1 @@
+"""One file a stage: artefacts and options in, one artefact out."""
