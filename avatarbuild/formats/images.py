@@ -1,0 +1,259 @@
+"""Photos of any phone or editor, made upright and sRGB; and the JPEGs that the project keeps."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import math
+import re
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import OpenImageIO as oiio
+import pillow_heif
+from PIL import Image, UnidentifiedImageError
+
+from avatarbuild.errors import InputError
+from avatarbuild.formats import colour, exif, heif
+
+_HEIF_SUFFIXES = frozenset({".heic", ".heif", ".hif"})
+_RAW_SUFFIXES = frozenset({".dng"}) if importlib.util.find_spec("rawpy") else frozenset()
+PHOTO_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"}) | _HEIF_SUFFIXES | _RAW_SUFFIXES
+
+MAX_PIXELS = 300_000_000  # beyond any phone; a larger picture is a stitched panorama or a trap
+
+# Pillow's own limit is a third of this and would refuse pictures that are read here in strips
+Image.MAX_IMAGE_PIXELS = None
+pillow_heif.register_heif_opener(thumbnails=False)
+
+_STRIP = 256  # rows read at a time
+
+
+@dataclass(frozen=True)
+class PhotoFacts:
+    """
+    What a photo's header tells, for the upright full-size picture.
+
+    size          width, height in pixels
+    focal         pixels; NaN if unknown
+    focal_source  'EXIF 35 mm equivalent', 'EXIF focal length and sensor resolution' or ''
+    time          s from 1970-01-01 00:00 of the camera's own clock; NaN if unknown
+    camera        'make model, lens'; '' if unknown
+    lens          photos of equal `lens` were taken through one lens at one zoom and have one upright size
+    mirrored      True where the header says that the upright picture is a mirror image; None: nothing is said
+    colour        'sRGB', an ICC profile's name, 'HLG', 'PQ' or '' for nothing said, which is read as sRGB
+    """
+
+    size: tuple[int, int]
+    focal: float
+    focal_source: str
+    time: float
+    camera: str
+    lens: str
+    mirrored: bool | None
+    colour: str
+
+
+@dataclass(frozen=True)
+class Photo:
+    """
+    An upright photo. `focal` belongs to `rgb`, which may be smaller than `original_size`; the rest as in PhotoFacts.
+
+    rgb (h, w, 3) uint8 sRGB
+    """
+
+    rgb: np.ndarray
+    focal: float
+    focal_source: str
+    time: float
+    camera: str
+    lens: str
+    mirrored: bool | None
+    original_size: tuple[int, int]
+
+
+def is_photo(path: Path) -> bool:
+    """Whether the name is a photo's; hidden files are none."""
+    return path.suffix.lower() in PHOTO_SUFFIXES and not path.name.startswith(".")
+
+
+def photo_facts(path: Path) -> PhotoFacts:
+    """Reads the header alone. Raises InputError as `read_photo` does for files that are no pictures."""
+    with _opened(path) as (image, turn):
+        return _facts(image, turn)
+
+
+def read_photo(path: Path, max_pixels: float = math.inf) -> Photo:
+    """
+    The photo upright, in sRGB, scaled down (area averages) to at most max_pixels.
+
+    Raises InputError for files that cannot be read, are no pictures, end early, have over 300 million pixels or
+    pixels of a kind that phones do not write (floating point, Lab).
+    """
+    with _opened(path) as (image, turn):
+        facts = _facts(image, turn)
+        size = _fitting(image.size, max_pixels)
+        try:
+            rgb = _pixels(path, image, size)
+        except (OSError, SyntaxError, ValueError, RuntimeError, EOFError) as e:
+            raise InputError(f"{path}: cannot be read to its end ({_line(e)}); copy it again or remove it") from e
+    rgb = upright(rgb, turn)
+    scale = rgb.shape[1] / facts.size[0]
+    return Photo(
+        rgb, facts.focal * scale, facts.focal_source, facts.time, facts.camera, facts.lens, facts.mirrored, facts.size
+    )
+
+
+def decode_jpeg(data: bytes) -> np.ndarray:
+    """(h, w, 3) uint8 of a JPEG file's bytes as stored: no orientation, no profile. Raises ValueError."""
+    flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION
+    rgb = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data else None
+    if rgb is None:
+        raise ValueError("not a JPEG file")
+    return rgb
+
+
+def encode_jpeg(rgb: np.ndarray, quality: int) -> bytes:
+    """A JPEG file's bytes of (h, w, 3) uint8: full chroma, no metadata, the same bytes every time."""
+    settings = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, 0x111111]
+    done, data = cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), settings)
+    assert done
+    return data.tobytes()
+
+
+def upright(rgb: np.ndarray, orientation: int) -> np.ndarray:
+    """(h, w, 3) or (w, h, 3): the picture turned as EXIF's orientation 1 to 8 asks."""
+    if orientation >= 5:
+        rgb = rgb.transpose(1, 0, 2)
+    if orientation in (2, 3, 6, 7):
+        rgb = rgb[:, ::-1]
+    if orientation in (3, 4, 7, 8):
+        rgb = rgb[::-1]
+    return np.ascontiguousarray(rgb)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Image.Image, int]]:
+    """The picture with its header read, and the orientation still to be applied."""
+    try:
+        data = path.read_bytes()
+    except OSError as e:
+        raise InputError(f"{path}: cannot be opened ({e.strerror or e}); check its permissions or remove it") from e
+    if not data:
+        raise InputError(f"{path}: the file is empty; copy it from the camera again or remove it")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Pillow's remarks on odd EXIF blocks
+            image = Image.open(io.BytesIO(data))
+    except UnidentifiedImageError as e:
+        raise InputError(f"{path}: not a picture that can be read; copy it again or remove it") from e
+    except (OSError, SyntaxError, ValueError, RuntimeError, EOFError) as e:
+        raise InputError(f"{path}: damaged picture ({_line(e)}); copy it again or remove it") from e
+    with image:
+        if image.width * image.height > MAX_PIXELS:
+            found = f"{image.width} x {image.height} pixels"
+            raise InputError(f"{path}: {found}, more than 300 million; scale it down or remove it")
+        if image.format in ("JPEG", "MPO") and not _jpeg_is_whole(data):
+            raise InputError(f"{path}: the JPEG file ends early; copy it from the camera again or remove it")
+        turn = exif.orientation(image.getexif())
+        if image.format == "HEIF":
+            turn = 1 if heif.turns_itself(data) else image.info.get("original_orientation") or 1
+        yield image, turn
+
+
+def _facts(image: Image.Image, turn: int) -> PhotoFacts:
+    tags = image.getexif()
+    width, height = image.size if turn < 5 else image.size[::-1]
+    focal, source = exif.focal(tags, width, height)
+    camera = exif.camera(tags)
+    lens = f"{camera or 'unknown'} {exif.optics(tags)} {width}x{height}"
+    mirrored = True if turn in (2, 4, 5, 7) else None
+    return PhotoFacts((width, height), focal, source, exif.taken(tags), camera, lens, mirrored, _colour_name(image))
+
+
+def _colour_name(image: Image.Image) -> str:
+    profile = image.info.get("icc_profile")
+    return colour.profile_name(profile) if profile else ""
+
+
+def _fitting(size: tuple[int, int], max_pixels: float) -> tuple[int, int]:
+    """The size, or the largest of its shape with at most max_pixels."""
+    scale = min(1.0, math.sqrt(max_pixels / (size[0] * size[1])))
+    if scale == 1.0:
+        return size
+    return max(1, int(size[0] * scale)), max(1, int(size[1] * scale))
+
+
+def _pixels(path: Path, image: Image.Image, size: tuple[int, int]) -> np.ndarray:
+    """(h, w, 3) uint8 sRGB as stored, scaled to size."""
+    profile = image.info.get("icc_profile")
+    if image.format in ("PNG", "TIFF") and image.mode != "CMYK":
+        picture = Image.fromarray(_read_in_strips(path, size))
+    else:
+        if image.format in ("JPEG", "MPO"):
+            image.draft(None, size)
+        image.load()
+        picture = image if image.mode in ("L", "RGB", "CMYK") else image.convert("RGB")
+    if profile:
+        picture = colour.srgb_from_icc(picture, profile)
+    rgb = np.asarray(picture.convert("RGB"))
+    if (rgb.shape[1], rgb.shape[0]) != size:
+        rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+    return rgb
+
+
+def _read_in_strips(path: Path, size: tuple[int, int]) -> np.ndarray:
+    """(h, w) grey or (h, w, 3) uint8 of a PNG or TIFF file; alpha is laid over black."""
+    source = oiio.ImageInput.open(str(path))
+    if source is None:
+        raise OSError(oiio.geterror())
+    spec = source.spec()
+    try:
+        if spec.format.basetype in (oiio.FLOAT, oiio.DOUBLE, oiio.HALF):
+            raise ValueError("floating-point pixels; 8 or 16 bit are needed")
+        n = 3 if spec.nchannels >= 3 else 1
+        pixels = source.read_image(0, 0, 0, n, "uint8")
+        if pixels is None:
+            raise OSError(source.geterror())
+    finally:
+        source.close()
+    pixels = np.asarray(pixels).reshape(spec.height, spec.width, n)
+    return pixels if n == 3 else pixels[:, :, 0]
+
+
+# a marker inside entropy-coded data: not a stuffed 0xFF00, a restart or a fill byte
+_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
+
+
+def _jpeg_is_whole(data: bytes) -> bool:
+    """
+    Whether the first picture reaches its end-of-image marker.
+
+    Decoders fill what is missing with grey, or take zeros after an interrupted copy for pixels.
+    """
+    at = 2
+    while 0 <= at < len(data) - 1:
+        if data[at] != 0xFF:
+            return False
+        kind = data[at + 1]
+        if kind == 0xD9:
+            return True
+        if kind == 0xFF:
+            at += 1
+            continue
+        at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+        if kind == 0xDA:
+            found = _MARKER.search(data, at)
+            if found is None:
+                return False
+            at = found.start()
+    return False
+
+
+def _line(e: BaseException) -> str:
+    return " ".join(str(e).split()) or type(e).__name__
