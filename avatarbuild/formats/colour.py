@@ -14,10 +14,13 @@ PRIMARIES = {
     "BT.709": ((0.640, 0.330), (0.300, 0.600), (0.150, 0.060)),
     "BT.2020": ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046)),
     "Display P3": ((0.680, 0.320), (0.265, 0.690), (0.150, 0.060)),
-    "BT.601-625": ((0.640, 0.330), (0.290, 0.600), (0.150, 0.060)),
     "BT.601-525": ((0.630, 0.340), (0.310, 0.595), (0.155, 0.070)),
 }
 _D65 = (0.3127, 0.3290)
+
+# numbers that videos and HEIC files carry (ITU-T H.273), of what differs from sRGB
+HDR_CURVES = {18: "HLG", 16: "PQ"}
+WIDE_PRIMARIES = {9: "BT.2020", 12: "Display P3"}
 
 REFERENCE_WHITE = 203.0  # cd/m2: diffuse white in HLG and PQ, ITU-R BT.2408
 HLG_PEAK = 1000.0  # cd/m2: the nominal display of ITU-R BT.2100
@@ -95,7 +98,7 @@ def _srgb_profile() -> ImageCms.ImageCmsProfile:
 
 @lru_cache
 def _srgb_table() -> np.ndarray:
-    """(4097,) uint8: sRGB of linear light i / 4096, without a dark end too coarse (see `_encode`)."""
+    """(4097,) uint8: sRGB of linear light (i / 4096)^2; the square keeps the dark end fine."""
     return np.rint(255.0 * srgb_from_linear((np.arange(4097) / 4096.0) ** 2)).astype(np.uint8)
 
 

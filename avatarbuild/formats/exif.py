@@ -28,8 +28,8 @@ def focal_from_35mm(f35: float, width: int, height: int) -> float:
     f = f35 / |(36, 24) mm| * d pixels.
 
     The equivalent is defined by the diagonal (CIPA DCG-001): d is the picture's. Phone pictures that are wider than
-    8 : 5 or nearly square are crops of a 4 : 3 sensor and keep the tag of the whole: d is then the diagonal of the 4 : 3
-    frame they were cut from.
+    8 : 5 or nearly square are crops of a 4 : 3 sensor and keep the tag of the whole: d is then the diagonal of the
+    4 : 3 frame they were cut from.
     """
     long, short = max(width, height), min(width, height)
     if 1.2 <= long / short <= 1.6:

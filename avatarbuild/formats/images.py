@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import io
+import logging
 import math
 import re
 import warnings
@@ -20,6 +21,8 @@ from PIL import Image, UnidentifiedImageError
 
 from avatarbuild.errors import InputError
 from avatarbuild.formats import colour, exif, heif
+
+log = logging.getLogger(__name__)
 
 _HEIF_SUFFIXES = frozenset({".heic", ".heif", ".hif"})
 _RAW_SUFFIXES = frozenset({".dng"}) if importlib.util.find_spec("rawpy") else frozenset()
@@ -160,6 +163,8 @@ def _opened(path: Path) -> Iterator[tuple[Image.Image, int]]:
             raise InputError(f"{path}: {found}, more than 300 million; scale it down or remove it")
         if image.format in ("JPEG", "MPO") and not _jpeg_is_whole(data):
             raise InputError(f"{path}: the JPEG file ends early; copy it from the camera again or remove it")
+        if image.format == "PNG":
+            image.info["exif"] = image.info.get("exif") or _png_exif(data)
         turn = exif.orientation(image.getexif())
         if image.format == "HEIF":
             turn = 1 if heif.turns_itself(data) else image.info.get("original_orientation") or 1
@@ -178,7 +183,19 @@ def _facts(image: Image.Image, turn: int) -> PhotoFacts:
 
 def _colour_name(image: Image.Image) -> str:
     profile = image.info.get("icc_profile")
-    return colour.profile_name(profile) if profile else ""
+    if profile:
+        return colour.profile_name(profile)
+    curve, primaries = _coded_colour(image)
+    return curve or primaries
+
+
+def _coded_colour(image: Image.Image) -> tuple[str, str]:
+    """('HLG', 'PQ' or '', wide primaries' name or '') of an HEIC file without ICC profile."""
+    coded = image.info.get("nclx_profile")
+    if image.format != "HEIF" or not coded or image.info.get("icc_profile"):
+        return "", ""
+    curve = colour.HDR_CURVES.get(int(coded["transfer_characteristics"]), "")
+    return curve, colour.WIDE_PRIMARIES.get(int(coded["color_primaries"]), "")
 
 
 def _fitting(size: tuple[int, int], max_pixels: float) -> tuple[int, int]:
@@ -191,39 +208,83 @@ def _fitting(size: tuple[int, int], max_pixels: float) -> tuple[int, int]:
 
 def _pixels(path: Path, image: Image.Image, size: tuple[int, int]) -> np.ndarray:
     """(h, w, 3) uint8 sRGB as stored, scaled to size."""
-    profile = image.info.get("icc_profile")
-    if image.format in ("PNG", "TIFF") and image.mode != "CMYK":
-        picture = Image.fromarray(_read_in_strips(path, size))
+    if image.mode in ("F", "LAB", "HSV"):
+        raise InputError(f"{path}: its pixels are of kind {image.mode}; save it as 8 or 16 bit RGB or remove it")
+    curve, primaries = _coded_colour(image)
+    if curve:
+        rgb = colour.srgb_from_hdr(_heif_signal(path), curve, primaries or "BT.709")
+    elif image.format in ("PNG", "TIFF") and image.mode != "CMYK":
+        rgb = _profiled(path, Image.fromarray(_read_in_strips(path, size)), image)
     else:
-        if image.format in ("JPEG", "MPO"):
-            image.draft(None, size)
+        image.draft(None, size)
         image.load()
-        picture = image if image.mode in ("L", "RGB", "CMYK") else image.convert("RGB")
-    if profile:
-        picture = colour.srgb_from_icc(picture, profile)
-    rgb = np.asarray(picture.convert("RGB"))
+        rgb = _profiled(path, image if image.mode in ("L", "CMYK") else image.convert("RGB"), image)
+        if primaries:
+            rgb = colour.srgb_from_primaries(rgb, primaries)
     if (rgb.shape[1], rgb.shape[0]) != size:
         rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
     return rgb
 
 
+def _profiled(path: Path, pixels: Image.Image, header: Image.Image) -> np.ndarray:
+    """(h, w, 3) uint8 sRGB of pixels in the colours of the header's ICC profile, if it has one."""
+    profile = header.info.get("icc_profile")
+    if profile:
+        try:
+            return np.asarray(colour.srgb_from_icc(pixels, profile))
+        except ValueError as e:
+            log.warning("%s: %s; its colours are taken for sRGB", path.name, e)
+    return np.asarray(pixels.convert("RGB"))
+
+
+def _heif_signal(path: Path) -> np.ndarray:
+    """(h, w, 3) uint16: the signal of an HDR HEIC file in full depth."""
+    signal = np.asarray(pillow_heif.open_heif(path.read_bytes(), convert_hdr_to_8bit=False))
+    if signal.dtype == np.uint8:
+        signal = signal.astype(np.uint16) * 257
+    if signal.ndim == 2:
+        signal = np.repeat(signal[:, :, None], 3, axis=2)
+    return signal[:, :, :3]
+
+
 def _read_in_strips(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """(h, w) grey or (h, w, 3) uint8 of a PNG or TIFF file; alpha is laid over black."""
+    """
+    (h, w) grey or (h, w, 3) uint8 of a PNG or TIFF file; transparent parts black.
+
+    Averaged over whole squares of pixels while reading, as far as size (w, h) allows, so that 100 megapixels in 16 bit
+    need no more memory than the result and a strip.
+    """
     source = oiio.ImageInput.open(str(path))
     if source is None:
         raise OSError(oiio.geterror())
-    spec = source.spec()
     try:
-        if spec.format.basetype in (oiio.FLOAT, oiio.DOUBLE, oiio.HALF):
-            raise ValueError("floating-point pixels; 8 or 16 bit are needed")
+        spec = source.spec()
         n = 3 if spec.nchannels >= 3 else 1
-        pixels = source.read_image(0, 0, 0, n, "uint8")
-        if pixels is None:
-            raise OSError(source.geterror())
+        k = min(max(1, spec.width // size[0]), max(1, spec.height // size[1]))
+        rows = max(1, spec.tile_height) * k * max(1, _STRIP // (max(1, spec.tile_height) * k))
+        reduced = np.empty((-(-spec.height // k), -(-spec.width // k), n), np.uint8)
+        for top in range(0, spec.height, rows):
+            bottom = min(top + rows, spec.height)
+            strip = _read_rows(source, spec, top, bottom, n)
+            if k > 1:
+                strip = cv2.resize(strip, (reduced.shape[1], -(-(bottom - top) // k)), interpolation=cv2.INTER_AREA)
+            reduced[top // k : -(-bottom // k)] = strip.reshape(-1, reduced.shape[1], n)
     finally:
         source.close()
-    pixels = np.asarray(pixels).reshape(spec.height, spec.width, n)
-    return pixels if n == 3 else pixels[:, :, 0]
+    return reduced if n == 3 else reduced[:, :, 0]
+
+
+def _read_rows(source: oiio.ImageInput, spec: oiio.ImageSpec, top: int, bottom: int, n: int) -> np.ndarray:
+    """(bottom - top, w, n) uint8: rows of the first n channels."""
+    y = spec.y + top, spec.y + bottom
+    if spec.tile_width:
+        end = spec.y + min(spec.height, -(-bottom // spec.tile_height) * spec.tile_height)
+        pixels = source.read_tiles(spec.x, spec.x + spec.width, y[0], end, 0, 1, 0, n, "uint8")
+    else:
+        pixels = source.read_scanlines(*y, 0, 0, n, "uint8")
+    if pixels is None:
+        raise OSError(source.geterror())
+    return np.asarray(pixels).reshape(-1, spec.width, n)[: bottom - top]
 
 
 # a marker inside entropy-coded data: not a stuffed 0xFF00, a restart or a fill byte
@@ -253,6 +314,17 @@ def _jpeg_is_whole(data: bytes) -> bool:
                 return False
             at = found.start()
     return False
+
+
+def _png_exif(data: bytes) -> bytes:
+    """The EXIF block of a PNG file wherever it stands; Pillow would decode the whole picture to look behind it."""
+    at = 8
+    while at + 8 <= len(data):
+        size = int.from_bytes(data[at : at + 4], "big")
+        if data[at + 4 : at + 8] == b"eXIf":
+            return data[at + 8 : at + 8 + size]
+        at += size + 12
+    return b""
 
 
 def _line(e: BaseException) -> str:

@@ -1,4 +1,4 @@
-"""Video of any phone, frame by frame, upright and sRGB; and a writer of small clips."""
+"""Video of any phone, frame by frame, upright and sRGB."""
 
 from __future__ import annotations
 
@@ -6,36 +6,38 @@ import calendar
 import logging
 import math
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import av
 import numpy as np
-from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTrc, Interpolation
 
 from avatarbuild.errors import InputError
 from avatarbuild.formats import colour
+from avatarbuild.formats.clip import encode_clip
+from avatarbuild.formats.frame import display_turn, square_size, upright_srgb
+
+__all__ = [
+    "VIDEO_SUFFIXES",
+    "VideoFile",
+    "decode_frames",
+    "encode_clip",
+    "frame_times",
+    "is_video",
+    "keyframes",
+    "open_video",
+]
 
 log = logging.getLogger(__name__)
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".3gp", ".mkv"})
-
-_HDR = {ColorTrc.ARIB_STD_B67: "HLG", ColorTrc.SMPTE2084: "PQ"}
-_PRIMARIES = {
-    ColorPrimaries.BT2020: "BT.2020",
-    ColorPrimaries.SMPTE432: "Display P3",
-    ColorPrimaries.BT470BG: "BT.601-625",
-    ColorPrimaries.SMPTE170M: "BT.601-525",
-}
-
-# Y'CbCr matrix, transfer and primaries as numbered by ITU-T H.273
-_ENCODED_COLOUR = {"SDR": (1, 1, 1), "HLG": (9, 18, 9), "PQ": (9, 16, 9)}
-_EXACT = Interpolation.BICUBIC | Interpolation.FULL_CHR_H_INT | Interpolation.ACCURATE_RND | Interpolation.BITEXACT
 
 
 @dataclass(frozen=True)
@@ -92,10 +94,10 @@ def open_video(path: Path) -> VideoFile:
     """
     packets = _packets(path)
     with _opened(path) as container:
-        stream = container.streams.video[0]
+        stream = _stream(container)
         first = _first_frame(path, container, stream)
-        turn = _display_turn(first)
-        width, height = _square_size(first, stream)
+        turn = display_turn(first)
+        width, height = square_size(first, stream)
         seconds = float((packets.ticks[-1] - packets.ticks[0]) * packets.tick) + packets.tail
         rate = stream.average_rate or stream.guessed_rate
         return VideoFile(
@@ -108,7 +110,7 @@ def open_video(path: Path) -> VideoFile:
             bits=first.format.components[0].bits,
             rotation=90 * turn[0],
             mirrored=True if turn[1] else None,
-            hdr=_HDR.get(first.color_trc, ""),
+            hdr=colour.HDR_CURVES.get(int(first.color_trc or 0), ""),
             time=_taken(container.metadata),
             focal=math.nan,
         )
@@ -124,6 +126,12 @@ def frame_times(path: Path) -> np.ndarray:
     return (packets.ticks - packets.ticks[0]) * float(packets.tick)
 
 
+def keyframes(path: Path) -> np.ndarray:
+    """(j,) int: indices of the frames that decode alone, cheap to `decode_frames` by themselves, in rising order."""
+    packets = _packets(path)
+    return np.searchsorted(packets.ticks, packets.keys)
+
+
 def decode_frames(path: Path, wanted: Iterable[int] | None = None) -> Iterator[tuple[int, float, np.ndarray]]:
     """
     (index, time s, (h, w, 3) uint8 sRGB upright) of all frames, or of the wanted indices, in rising order.
@@ -136,38 +144,47 @@ def decode_frames(path: Path, wanted: Iterable[int] | None = None) -> Iterator[t
     asked = range(len(times)) if wanted is None else sorted({i for i in wanted if 0 <= i < len(times)})
     given = 0
     with _opened(path) as container:
-        stream = container.streams.video[0]
+        stream = _stream(container)
         for index, frame in _picked(container, packets, list(asked)):
             given += 1
-            yield index, float(times[index]), _upright_srgb(frame, _square_size(frame, stream))
+            yield index, float(times[index]), upright_srgb(frame, square_size(frame, stream))
     if given < len(asked):
         log.warning("%s: %d of %d frames cannot be decoded", path.name, len(asked) - given, len(asked))
 
 
 def _picked(container: Any, packets: _Packets, asked: list[int]) -> Iterator[tuple[int, av.VideoFrame]]:
     """(index, frame) of the frames asked for (rising), in one pass that skips to keyframes where that saves work."""
-    index_of = {int(t): i for i, t in enumerate(packets.ticks)}
-    stream = container.streams.video[0]
-    frames, at = _decoded(container, stream), 0
-    position = -1
-    while at < len(asked):
-        target = int(packets.ticks[asked[at]])
-        key = packets.keys[packets.keys <= target]
-        key_index = index_of[int(key[-1])] if len(key) else 0
-        if key_index > position + 1 and position < asked[at]:
-            container.seek(int(key[-1]), stream=stream, backward=True)
-            stream.codec_context.flush_buffers()
-            frames = _decoded(container, stream)
+    index_of: dict[int | None, int] = {int(tick): i for i, tick in enumerate(packets.ticks)}
+    keys = [index_of[int(tick)] for tick in packets.keys]
+    stream = _stream(container)
+    frames, position = _decoded(container, stream), -1
+    for index in asked:
+        earlier = keys[: bisect_right(keys, index)]
+        if earlier and earlier[-1] > position + 1:
+            frames, position = _from_keyframe(container, packets, index_of, earlier), -1
         for frame in frames:
             position = index_of.get(frame.pts, position)
-            while at < len(asked) and asked[at] < position:
-                at += 1
-            if at < len(asked) and asked[at] == position:
-                yield position, frame
-                at += 1
+            if position >= index:
                 break
         else:
             return
+        if position == index:
+            yield index, frame
+
+
+def _from_keyframe(
+    container: Any, packets: _Packets, index_of: dict[int | None, int], keys: list[int]
+) -> Iterator[av.VideoFrame]:
+    """Frames from the last of these keyframes (frame indices) on, or from an earlier one where seeking lands late."""
+    stream = _stream(container)
+    for key in reversed(keys):
+        container.seek(int(packets.ticks[key]), stream=stream, backward=True)
+        frames = _decoded(container, stream)
+        first = next(frames, None)
+        if first is not None and index_of.get(first.pts, len(index_of)) <= key:
+            return chain([first], frames)
+    container.seek(0, backward=True)
+    return _decoded(container, stream)
 
 
 def _decoded(container: Any, stream: Any) -> Iterator[av.VideoFrame]:
@@ -189,74 +206,6 @@ def _decoded(container: Any, stream: Any) -> Iterator[av.VideoFrame]:
             return
 
 
-def encode_clip(
-    path: Path,
-    frames: Iterable[np.ndarray],
-    fps: float,
-    *,
-    codec: str = "h264",
-    pix_fmt: str = "yuv420p",
-    quality: int = 18,
-    rotation: int = 0,
-    mirror: bool = False,
-    times: Sequence[float] | None = None,
-    transfer: str = "SDR",
-    keyframe_every: int = 30,
-) -> None:
-    """
-    Writes frames (h, w, 3) uint8 sRGB, or uint16 full-range signal for transfer 'HLG' and 'PQ' (BT.2020), as MP4 or MOV.
-
-    The frames are given upright; they are stored turned and flipped so that a player has to mirror (left to right) and
-    then turn them by `rotation` degrees clockwise. `times` (s, rising from 0) replaces the even rate; `quality` is the
-    constant rate factor. One thread and no dates: the same bytes every time.
-    """
-    clock = 90000
-    with av.open(str(path), "w") as container:
-        encoder = {"h264": "libx264", "hevc": "libx265"}[codec]
-        stream = container.add_stream(encoder, rate=Fraction(fps).limit_denominator(1001))
-        stream.pix_fmt = pix_fmt
-        stream.options = _encoder_options(codec, quality, keyframe_every)
-        if codec == "hevc":
-            stream.codec_context.codec_tag = "hvc1"
-        stream.codec_context.time_base = Fraction(1, clock)
-        stream.codec_context.thread_count = 1
-        matrix, trc, primaries = _ENCODED_COLOUR[transfer]
-        stream.codec_context.colorspace = matrix
-        stream.codec_context.color_trc = trc
-        stream.codec_context.color_primaries = primaries
-        stream.codec_context.color_range = int(ColorRange.MPEG)
-        if rotation or mirror:
-            stream.set_display_matrix(_display_matrix(rotation, mirror))
-        for i, rgb in enumerate(frames):
-            stored = np.rot90(rgb, rotation // 90)
-            stored = stored[:, ::-1] if mirror else stored
-            source = av.VideoFrame.from_ndarray(
-                np.ascontiguousarray(stored), format="rgb24" if rgb.dtype == np.uint8 else "rgb48le"
-            )
-            frame = source.reformat(
-                format=pix_fmt,
-                dst_colorspace=Colorspace.BT2020 if transfer != "SDR" else Colorspace.ITU709,
-                src_color_range=ColorRange.JPEG,
-                dst_color_range=ColorRange.MPEG,
-                interpolation=_EXACT,
-                threads=1,
-            )
-            frame.colorspace, frame.color_trc, frame.color_primaries = matrix, trc, primaries
-            seconds = i / fps if times is None else times[i]
-            frame.pts, frame.time_base = round(seconds * clock), Fraction(1, clock)
-            if i == 0:
-                stream.width, stream.height = frame.width, frame.height
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode(None))
-
-
-def _encoder_options(codec: str, quality: int, keyframe_every: int) -> dict[str, str]:
-    if codec == "h264":
-        return {"crf": str(quality), "g": str(keyframe_every), "threads": "1", "preset": "veryfast"}
-    quiet = "log-level=none:pools=none:frame-threads=1:no-info=1"
-    return {"preset": "veryfast", "x265-params": f"crf={quality}:keyint={keyframe_every}:{quiet}"}
-
-
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     """The container, one video stream guaranteed, decoding on two threads."""
@@ -272,14 +221,21 @@ def _opened(path: Path) -> Iterator[Any]:
     except (av.FFmpegError, OSError, ValueError) as e:
         raise InputError(f"{path}: damaged or not a video; copy it from the camera again or remove it") from e
     with container:
-        if not container.streams.video:
+        stream = _stream(container)
+        if stream is None:
             raise InputError(f"{path}: holds no video; remove it or record a video")
-        stream = container.streams.video[0]
         if stream.codec_context is None:
             raise InputError(f"{path}: its video codec cannot be decoded; convert it to H.264 or HEVC in an MP4 file")
         stream.thread_type = "FRAME"
         stream.codec_context.thread_count = 2
         yield container
+
+
+def _stream(container: Any) -> Any:
+    """The main video stream, or None; cover pictures are none."""
+    streams = [s for s in container.streams.video if not s.disposition & av.stream.Disposition.attached_pic]
+    best = container.streams.best("video")
+    return best if best in streams else next(iter(streams), None)
 
 
 def _packets(path: Path) -> _Packets:
@@ -296,7 +252,7 @@ def _scan(path: Path, mtime: int, size: int) -> _Packets:
     """Reads all packets: headers promise frames that a broken copy has not, and edit lists hide some that it has."""
     ticks, keys, last = [], [], 0
     with _opened(path) as container:
-        stream = container.streams.video[0]
+        stream = _stream(container)
         try:
             for packet in container.demux(stream):
                 if packet.size == 0 or packet.is_discard or packet.is_corrupt:
@@ -322,67 +278,6 @@ def _first_frame(path: Path, container: Any, stream: Any) -> av.VideoFrame:
     if frame is None:
         raise InputError(f"{path}: not one frame can be decoded; copy it from the camera again or remove it")
     return frame
-
-
-def _square_size(frame: av.VideoFrame, stream: Any) -> tuple[int, int]:
-    """Width and height as stored, made wider or narrower where pixels are not square."""
-    aspect = stream.sample_aspect_ratio
-    stretch = float(aspect) if aspect else 1.0
-    return round(frame.width * stretch), frame.height
-
-
-def _display_turn(frame: av.VideoFrame) -> tuple[int, bool]:
-    """
-    (quarter turns clockwise, flipped left to right before them) that make a stored frame upright.
-
-    The container's matrix (a b u; c d v; x y w) takes a stored pixel (x, y) to (a x + c y, b x + d y), y down.
-    """
-    if "DISPLAYMATRIX" not in frame.side_data:
-        return 0, False
-    a, b, _, c, d = np.frombuffer(bytes(frame.side_data["DISPLAYMATRIX"]), np.int32)[:5].astype(float)
-    flipped = a * d - b * c < 0
-    angle = math.atan2(-b, -a) if flipped else math.atan2(b, a)
-    return round(angle / (math.pi / 2)) % 4, flipped
-
-
-def _display_matrix(rotation: int, mirror: bool) -> list[int]:
-    """The inverse of `_display_turn`: nine fixed-point numbers."""
-    cos, sin = ((1, 0), (0, 1), (-1, 0), (0, -1))[rotation // 90 % 4]
-    flip = -1 if mirror else 1
-    return [flip * cos << 16, flip * sin << 16, 0, -sin << 16, cos << 16, 0, 0, 0, 1 << 30]
-
-
-def _upright_srgb(frame: av.VideoFrame, size: tuple[int, int]) -> np.ndarray:
-    """(h, w, 3) uint8: the decoded frame in sRGB, square pixels (stored size given), turned upright."""
-    hdr = _HDR.get(frame.color_trc, "")
-    full = frame.color_range == ColorRange.JPEG or frame.format.name.startswith("yuvj")
-    converted = frame.reformat(
-        width=size[0],
-        height=size[1],
-        format="rgb48le" if hdr else "rgb24",
-        src_colorspace=_matrix(frame),
-        src_color_range=ColorRange.JPEG if full else ColorRange.MPEG,
-        dst_color_range=ColorRange.JPEG,
-        interpolation=_EXACT,
-        threads=1,
-    )
-    rgb = converted.to_ndarray()
-    primaries = _PRIMARIES.get(frame.color_primaries, "BT.709")
-    if hdr:
-        rgb = colour.srgb_from_hdr(rgb, hdr, primaries if primaries == "Display P3" else "BT.2020")
-    elif primaries in ("BT.2020", "Display P3"):
-        rgb = colour.srgb_from_primaries(rgb, primaries)
-    turns, flipped = _display_turn(frame)
-    if flipped:
-        rgb = rgb[:, ::-1]
-    return np.ascontiguousarray(np.rot90(rgb, -turns))
-
-
-def _matrix(frame: av.VideoFrame) -> Colorspace:
-    """The Y'CbCr matrix of a frame: as tagged, else BT.709 from 720 lines on and BT.601 below, as players have it."""
-    tagged = {1: Colorspace.ITU709, 5: Colorspace.ITU601, 6: Colorspace.ITU601, 9: Colorspace.BT2020}
-    unknown = Colorspace.ITU709 if min(frame.width, frame.height) >= 720 else Colorspace.ITU601
-    return tagged.get(int(frame.colorspace), unknown)
 
 
 def _taken(metadata: dict[str, str]) -> float:
