@@ -1,0 +1,306 @@
+"""Skin of our own making: albedo, gloss and fine relief in the template's chart, different for every seed.
+
+The logarithm of the albedo is that of a skin tone, less melanin and blood times their absorption: two pigments vary,
+and everything that is painted is an amount of one of them. Noise is solid noise on the mean head, so it has no seams.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from avatarbuild.simulation.chart import Chart, filled, slopes
+from avatarbuild.simulation.noise import cells, fractal, smoothstep
+from avatarbuild.template import Template
+
+_MELANIN = np.array([0.36, 0.62, 0.85], np.float32)
+_BLOOD = np.array([0.04, 0.46, 0.42], np.float32)
+_TONES = np.array([[238, 203, 182], [222, 176, 148], [198, 148, 116], [150, 103, 76], [98, 66, 50]]) / 255
+# landmarks: cheeks, tip of the nose, chin, between the brows, under the eyes
+_CHEEKS, _NOSE, _CHIN, _UNDER_EYES = (50, 280), (4,), (152, 175), (119, 348)
+
+
+@dataclass(frozen=True)
+class Person:
+    """
+    What makes a skin: tone 0 (light) … 1 (dark), freckles and stubble 0 … 1, redness about 1, hair and iris (3,)
+    linear colours, and the seed of everything else.
+    """
+
+    tone: float
+    freckles: float
+    stubble: float
+    redness: float
+    hair: np.ndarray
+    iris: np.ndarray
+    seed: int
+
+
+@dataclass(frozen=True)
+class Surface:
+    """albedo (t, t, 3) linear, gloss (t, t), relief (t, t) mm, slopes (t, t, 2); all float32 and continued off-chart."""
+
+    albedo: np.ndarray
+    gloss: np.ndarray
+    relief: np.ndarray
+    slopes: np.ndarray
+
+    def channels(self) -> np.ndarray:
+        """(t, t, 6): what `rendering.Skin.surface` holds."""
+        return np.concatenate([self.albedo, self.gloss[..., None], self.slopes], axis=-1)
+
+
+def random_person(rng: np.random.Generator) -> Person:
+    """A person's colours, drawn at random."""
+    tone = rng.random()
+    hair = np.array([0.05, 0.032, 0.02]) * np.exp(rng.normal(0, 0.6)) * (1.6 - 1.3 * tone)
+    irises = np.array(
+        [[0.10, 0.05, 0.02], [0.16, 0.10, 0.04], [0.10, 0.15, 0.07], [0.12, 0.20, 0.30], [0.2, 0.25, 0.28]]
+    )
+    iris = irises[int(rng.integers(2 if tone > 0.55 else 5))] * np.exp(0.15 * rng.standard_normal(3))
+    return Person(
+        tone=float(tone),
+        freckles=float(max(rng.normal(0.1, 0.35), 0) * (1 - tone)),
+        stubble=float(rng.choice([0.0, 0.0, 0.5, 1.0]) * rng.uniform(0.5, 1)),
+        redness=float(rng.uniform(0.7, 1.4)),
+        hair=hair,
+        iris=iris,
+        seed=int(rng.integers(1 << 20)),
+    )
+
+
+def paint(chart: Chart, person: Person) -> Surface:
+    """The surface of the whole head: skin, eyes, teeth, gums and tongue."""
+    template, p = chart.template, chart.position
+    rng = np.random.default_rng(person.seed)
+    seeds = iter(rng.integers(1 << 20, size=40).tolist())
+    t = chart.size
+    inside = chart.part >= 0
+    rows, columns = np.nonzero(chart.part == 0)
+    q = p[rows, columns]
+    melanin, blood, relief = (np.zeros((t, t), np.float32) for _ in range(3))
+
+    def spread(values: np.ndarray) -> np.ndarray:
+        out = np.zeros((t, t), np.float32)
+        out[rows, columns] = values
+        return out
+
+    lips, lids, nose, ears, scalp, mouth = (
+        chart.region(name, blur)
+        for name, blur in (("lips", 1), ("lids", 2), ("nose", 3), ("ears", 3), ("scalp", 5), ("mouth", 1))
+    )
+    landmarks = template.landmarks(template.mean)
+    cheeks = _blobs(p, landmarks[list(_CHEEKS)], 17)
+    tip = _blobs(p, landmarks[list(_NOSE)], 11)
+    under = _blobs(p, landmarks[list(_UNDER_EYES)], 9)
+    chin = _blobs(p, landmarks[list(_CHIN)], 12)
+
+    # Blotches: long waves come from the vertices, short ones from the texels.
+    for wavelength, m, b in ((45.0, 0.10, 0.10), (16.0, 0.09, 0.16)):
+        at_vertices = np.stack([fractal(template.mean, wavelength, 3, next(seeds)) for _ in range(2)], 1)
+        both = chart.field(at_vertices)
+        melanin += m * both[..., 0]
+        blood += b * both[..., 1]
+    middle, fine = fractal(q, 4.5, 2, next(seeds)), fractal(q, 1.5, 2, next(seeds))
+    melanin += spread(0.09 * middle + 0.08 * fine)
+    blood += spread(0.11 * fractal(q, 3.2, 2, next(seeds)) - 0.05 * fine)
+    relief += spread(0.012 * fine)
+
+    # Pores: about 1.2 mm apart, wider on nose and cheeks.
+    distance, label = cells(q, 1.25, next(seeds))
+    open_ = 0.35 + 0.75 * np.clip(nose + cheeks + 0.6 * chin, 0, 1)[rows, columns]
+    pore = np.exp(-((distance / (0.17 + 0.10 * open_)) ** 2)) * open_ * (0.4 + 0.9 * label)
+    pore *= 1 - np.clip(lips + 0.7 * lids, 0, 1)[rows, columns]
+    melanin += spread(0.30 * pore)
+    relief -= spread(0.055 * pore)
+
+    # Freckles thin out away from cheeks and nose; moles are few and raised.
+    distance, label = cells(q, 3.2, next(seeds))
+    likely = (0.12 + np.clip(1.3 * cheeks + tip + nose, 0, 1))[rows, columns] * min(person.freckles, 1)
+    freckle = (label < 0.5 * likely) * smoothstep(distance, 1.15, 0.35)
+    melanin += spread(0.75 * freckle * (0.5 + label))
+    for k in rng.integers(0, len(q), int(rng.integers(10, 22))):
+        radius = rng.uniform(0.5, 1.7)
+        spot = smoothstep(np.linalg.norm(q - q[k], axis=1), radius * 1.25, radius * 0.65)
+        melanin += spread(rng.uniform(0.7, 2.0) * spot)
+        relief += spread(0.12 * radius * spot)
+    for k in rng.integers(0, len(q), 10):
+        spot = np.exp(-((np.linalg.norm(q - q[k], axis=1) / rng.uniform(1.0, 2.6)) ** 2))
+        blood += spread(rng.uniform(0.2, 0.6) * spot)
+
+    blood += person.redness * (0.34 * cheeks + 0.45 * tip + 0.30 * ears + 0.12 * lids + 0.15 * chin + 0.12 * under)
+    melanin += 0.16 * under + 0.08 * lids
+
+    # Lips: red with fine upright lines.
+    lines = spread(fractal(q * [1.0, 0.22, 0.22], 1.1, 2, next(seeds)))
+    ragged = smoothstep(lips + 0.10 * spread(middle), 0.32, 0.62)
+    blood += ragged * (1.25 + 0.22 * lines)
+    melanin += ragged * (0.22 + 0.06 * lines)
+    relief += ragged * 0.05 * lines
+    rim = _near_contours(chart, ("lips_inner_upper", "lips_inner_lower"), 1.2)
+    blood += 0.7 * rim
+    melanin += 0.35 * rim
+
+    # Hair under the skin: the shaven scalp and the beard's shade.
+    distance, label = cells(q, 0.75, next(seeds))
+    dots = np.exp(-((distance / 0.2) ** 2)) * (0.3 + label)
+    scalp_share = smoothstep(scalp + 0.12 * spread(fractal(q, 9.0, 3, next(seeds))), 0.35, 0.75)
+    beard = person.stubble * _beard(template, p, landmarks) * (1 - np.clip(2 * lips, 0, 1))
+    hairy = np.clip(scalp_share + beard, 0, 1)
+    grey = 0.25 * hairy + spread(1.1 * dots) * hairy
+
+    tone = np.array([np.interp(person.tone * 4, range(5), _TONES[:, c]) for c in range(3)]) ** 2.2
+    log_albedo = np.log(tone).astype(np.float32) - melanin[..., None] * _MELANIN - blood[..., None] * _BLOOD
+    albedo = np.exp(log_albedo - grey[..., None] * np.array([0.62, 0.55, 0.46], np.float32))
+    gloss = 0.75 + 0.45 * np.clip(tip + nose * 0.6 + 0.5 * cheeks, 0, 1) + 0.7 * ragged - 0.2 * scalp_share
+    gloss *= 1 + 0.12 * spread(fine)
+
+    hairs = _brow_hairs(chart, rng)
+    albedo = albedo * (1 - hairs[..., None]) + np.asarray(person.hair, np.float32) * hairs[..., None]
+    lashes = _near_contours(chart, ("lid_upper_left", "lid_upper_right"), 0.75)
+    lashes = np.maximum(lashes, 0.55 * _near_contours(chart, ("lid_lower_left", "lid_lower_right"), 0.45))
+    lashes = np.clip(lashes * (0.9 + 0.5 * spread(fractal(q * [1.0, 0.1, 0.1], 0.7, 1, next(seeds)))), 0, 0.96)
+    albedo = albedo * (1 - lashes[..., None]) + 0.3 * np.asarray(person.hair, np.float32) * lashes[..., None]
+    deep = np.clip(mouth * 1.4 - ragged, 0, 1)[..., None]
+    albedo = albedo * (1 - deep) + np.array([0.22, 0.045, 0.04], np.float32) * deep
+    gloss = gloss * (1 - np.maximum(hairs, lashes) * 0.7)
+
+    _paint_parts(chart, person, albedo, gloss, relief, next(seeds))
+    known = inside
+    albedo = np.clip(filled(albedo.astype(np.float32), known), 0.002, 0.92)
+    gloss = filled(gloss[..., None].astype(np.float32), known)[..., 0]
+    relief = filled(relief[..., None].astype(np.float32), known)[..., 0]
+    slope = slopes(relief, chart.scale)
+    # Where the chart ends a difference of neighbours means nothing.
+    slope[cv2.erode(inside.astype(np.uint8), np.ones((3, 3))) == 0] = 0
+    return Surface(albedo, gloss, relief, slope)
+
+
+def _blobs(position: np.ndarray, centres: np.ndarray, radius: float) -> np.ndarray:
+    """(t, t) sum of exp(-(|x - c| / radius)^2), clipped at 1."""
+    total = np.zeros(position.shape[:2], np.float32)
+    for centre in centres.astype(np.float32):
+        total += np.exp(-((position - centre) ** 2).sum(-1) / radius**2)
+    return np.clip(total, 0, 1)
+
+
+def _near_contours(chart: Chart, names: tuple[str, ...], reach: float) -> np.ndarray:
+    """(t, t) exp(-(d / reach)^2) of the distance d to polylines of the template, drawn in the chart."""
+    canvas = np.full((chart.size, chart.size), 255, np.uint8)
+    for name in names:
+        for line in chart_lines(chart, chart.template.contours[name]):
+            cv2.polylines(canvas, [np.round(line * 16).astype(np.int32)], False, 0, 1, cv2.LINE_8, 4)
+    distance = cv2.distanceTransform(canvas, cv2.DIST_L2, 5) / chart.scale
+    return np.exp(-((distance / reach) ** 2)) * (chart.part == 0)
+
+
+def chart_lines(chart: Chart, vertices: np.ndarray) -> list[np.ndarray]:
+    """Texel coordinates (k, 2), from 0 at the first centre, of a polyline of vertices; one line unless a seam cuts."""
+    template = chart.template
+    own = np.zeros(len(template.mean), np.int64)
+    skin = template.parts["skin"].triangles
+    own[template.triangles[skin].reshape(-1)] = template.uv_triangles[skin].reshape(-1)
+    points = template.uv[own[vertices]] * [chart.size, -chart.size] + [0, chart.size] - 0.5
+    step = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    cuts = np.nonzero(step > 20 * chart.scale)[0] + 1
+    return [piece for piece in np.split(points, cuts) if len(piece) > 1]
+
+
+def _beard(template: Template, position: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
+    """(t, t): 1 on jaw, chin and upper lip, fading into cheeks and neck."""
+    nose, corner, chin = landmarks[2], landmarks[61], landmarks[152]
+    low = smoothstep(position[..., 1], nose[1] + 6 - 4, nose[1] - 8)
+    middle = np.abs(position[..., 0]) / max(abs(corner[0]), 1.0)
+    high_cheek = smoothstep(position[..., 1] - 0.35 * (corner[1] - chin[1]) * middle, nose[1] + 22, nose[1] - 14)
+    neck = smoothstep(position[..., 1], chin[1] - 45, chin[1] - 10)
+    front = smoothstep(position[..., 2], -45, -15)
+    return (low * high_cheek * neck * front).astype(np.float32)
+
+
+def _brow_hairs(chart: Chart, rng: np.random.Generator) -> np.ndarray:
+    """(t, t) coverage by some hundred short curved strokes along each brow, steep inside, lying flat outside."""
+    t, scale = chart.size, chart.scale
+    cover = np.zeros((t, t), np.float32)
+    thick, full = rng.uniform(2.6, 4.2), int(rng.uniform(420, 700))
+    for name, side in (("brow_left", 1.0), ("brow_right", -1.0)):
+        line = chart_lines(chart, chart.template.contours[name])[0]
+        if np.abs(chart.template.mean[chart.template.contours[name][0], 0]) > np.abs(
+            chart.template.mean[chart.template.contours[name][-1], 0]
+        ):
+            line = line[::-1]
+        arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+        out = np.sign(line[-1, 0] - line[0, 0])
+        for _ in range(full):
+            s = rng.random() ** 0.9
+            root = np.array([np.interp(s * arc[-1], arc, line[:, c]) for c in range(2)])
+            ahead = np.array([np.interp(min(s + 0.05, 1) * arc[-1], arc, line[:, c]) for c in range(2)])
+            behind = np.array([np.interp(max(s - 0.05, 0) * arc[-1], arc, line[:, c]) for c in range(2)])
+            tangent = (ahead - behind) / (np.linalg.norm(ahead - behind) + 1e-9)
+            up = np.array([tangent[1], -tangent[0]]) * out
+            half = thick * np.interp(s, [0, 0.15, 0.6, 1], [0.75, 1.0, 0.85, 0.2])
+            offset = np.clip(rng.normal(0, 0.5), -1, 1)
+            start = root + up * offset * half * scale
+            lift = np.interp(s, [0, 0.25, 1], [1.2, 0.65, 0.12]) - 0.45 * (offset > 0.2) + 0.18 * rng.standard_normal()
+            length = rng.uniform(3.5, 7.5) * np.interp(s, [0, 0.3, 1], [0.8, 1, 0.8]) * scale
+            along = np.cos(lift) * tangent + np.sin(lift) * up
+            bend = np.cos(lift * 0.4) * tangent + np.sin(lift * 0.4) * up
+            stroke = np.stack([start, start + 0.5 * length * along, start + 0.5 * length * (along + bend)])
+            layer = np.zeros(0)
+            low = np.floor(stroke.min(0)).astype(int) - 2
+            high = np.ceil(stroke.max(0)).astype(int) + 3
+            if (low < 0).any() or (high > t).any():
+                continue
+            layer = np.zeros((high[1] - low[1], high[0] - low[0]), np.uint8)
+            thickness = 1 if scale < 7 else 2
+            cv2.polylines(
+                layer, [np.round((stroke - low) * 16).astype(np.int32)], False, 255, thickness, cv2.LINE_AA, 4
+            )
+            window = cover[low[1] : high[1], low[0] : high[0]]
+            window[:] = 1 - (1 - window) * (1 - layer.astype(np.float32) / 255 * rng.uniform(0.35, 0.75))
+    return np.minimum(cv2.GaussianBlur(cover, (0, 0), 0.6), 0.93) * (chart.part == 0)
+
+
+def _paint_parts(
+    chart: Chart, person: Person, albedo: np.ndarray, gloss: np.ndarray, relief: np.ndarray, seed: int
+) -> None:
+    """Eyes, teeth, gums and tongue, in place."""
+    names = list(chart.template.parts)
+    rng = np.random.default_rng(seed)
+    for k, name in enumerate(names):
+        at = chart.part == k
+        if k == 0 or not at.any():
+            continue
+        q = chart.position[at]
+        grain = fractal(q, 2.0, 3, int(rng.integers(1 << 20)))
+        if name.startswith("eye"):
+            centre = chart.template.eye_centres[0 if name == "eye_left" else 1]
+            albedo[at] = _eye(q - centre, person, seed, grain)
+            gloss[at] = 2.0
+        elif name.startswith("teeth"):
+            albedo[at] = np.array([0.66, 0.60, 0.47]) * np.exp(0.05 * grain)[:, None]
+            gloss[at] = 1.2
+        else:
+            tint = np.array([0.42, 0.13, 0.12]) if name == "gums" else np.array([0.38, 0.12, 0.11])
+            albedo[at] = tint * np.exp(0.12 * grain)[:, None]
+            gloss[at] = 1.2
+        relief[at] = 0
+
+
+def _eye(offset: np.ndarray, person: Person, seed: int, grain: np.ndarray) -> np.ndarray:
+    """Colours (k, 3) of an eyeball from the offsets (k, 3) mm to its centre; the gaze is along +z."""
+    radius = np.hypot(offset[:, 0], offset[:, 1])
+    angle = np.arctan2(offset[:, 1], offset[:, 0])
+    front = offset[:, 2] > 0
+    veins = fractal(offset * [1.0, 1.0, 0.4], 3.0, 4, seed + 3)
+    white = np.array([0.72, 0.66, 0.60]) * np.exp(0.03 * grain)[:, None]
+    away = smoothstep(radius, 6.5, 11.5)[:, None]
+    thin = np.exp(-((veins / 0.08) ** 2))[:, None] * away
+    white = white * (1 - 0.5 * thin * [0.1, 0.9, 0.9]) * (1 - 0.12 * away * [0.3, 1, 1])
+    spokes = fractal(np.stack([np.cos(angle) * 9, np.sin(angle) * 9, radius * 0.22], -1), 1.0, 3, seed + 5)
+    iris = person.iris * np.exp(0.45 * spokes)[:, None] * (1 + 0.9 * smoothstep(radius, 3.9, 2.5)[:, None])
+    iris = iris * (1 - 0.75 * smoothstep(radius, 5.0, 5.85)[:, None])
+    colours = white + (iris - white) * (front * smoothstep(radius, 6.1, 5.65))[:, None]
+    pupil = (front * smoothstep(radius, 2.15, 1.9))[:, None]
+    return np.clip(colours * (1 - pupil) + 0.004 * pupil, 0.003, 0.9)
