@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import colorsys
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -80,7 +81,7 @@ def boards(rng: np.random.Generator, grain: Grain, h: int, w: int, texel: float)
     image = np.ones((h, w, 1), np.float32) * base
     for top in range(0, h, wide):
         cuts = [0, *np.sort(rng.integers(0, w, 2 + w * int(texel + 1) // 1200)), w]
-        for left, right in zip(cuts[:-1], cuts[1:], strict=True):
+        for left, right in pairwise(cuts):
             image[top : top + wide, left:right] *= np.exp(0.16 * rng.standard_normal() + 0.04 * rng.standard_normal(3))
             image[top : top + wide, max(left - 1, 0) : left + 1] *= 0.35
         image[top : top + 1] *= 0.35

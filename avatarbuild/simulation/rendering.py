@@ -21,7 +21,7 @@ _SKIN_FRESNEL = 0.028
 
 @dataclass(frozen=True)
 class Camera:
-    """K (3, 3) with pixel centres at +0.5, dist (5,) of OpenCV's model, R (3, 3), t (3,) mm from the world, size (w, h)."""
+    """K (3, 3) with pixel centres at +0.5, dist (5,) of OpenCV, R (3, 3) and t (3,) mm from the world, size (w, h)."""
 
     K: np.ndarray
     dist: np.ndarray

@@ -22,7 +22,7 @@ class Surroundings:
     A textured mesh that stands still.
 
     vertices (n, 3) mm, normals (n, 3); triangles (m, 3); uv (n, 2); albedo (th, tw, 3) float32, linear, first row on
-    top; window (n,) bool: emits its albedo; towards_window (3,) unit vector from the head.
+    top; window, shirt (n,) bool: emits its albedo, is worn; towards_window (3,) unit vector from the head.
     """
 
     vertices: np.ndarray
@@ -31,6 +31,7 @@ class Surroundings:
     uv: np.ndarray
     albedo: np.ndarray
     window: np.ndarray
+    shirt: np.ndarray
     towards_window: np.ndarray
 
 
@@ -39,7 +40,7 @@ class _Builder:
 
     def __init__(self, width: int) -> None:
         self.width = width
-        self.surfaces: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, bool]] = []
+        self.surfaces: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]] = []
 
     def add(
         self,
@@ -49,9 +50,9 @@ class _Builder:
         triangles: np.ndarray,
         picture: np.ndarray,
         *,
-        window: bool = False,
+        kind: str = "",
     ) -> None:
-        self.surfaces.append((points, normals, uv, triangles, picture, window))
+        self.surfaces.append((points, normals, uv, triangles, picture, kind))
 
     def rectangle(
         self,
@@ -60,7 +61,7 @@ class _Builder:
         up: np.ndarray,
         picture: np.ndarray,
         *,
-        window: bool = False,
+        kind: str = "",
         cell: float = _CELL,
     ) -> None:
         """A picture seen upright from the side to which right x up points; `corner` is its lower left."""
@@ -72,7 +73,7 @@ class _Builder:
         points = corner + uv[:, :1] * right + uv[:, 1:] * up
         normal = np.cross(right, up)
         normals = np.broadcast_to(normal / np.linalg.norm(normal), points.shape)
-        self.add(points, normals, uv, _quads(b, a), picture, window=window)
+        self.add(points, normals, uv, _quads(b, a), picture, kind=kind)
 
     def box(self, centre: np.ndarray, size: np.ndarray, turn: float, pictures: list[np.ndarray]) -> None:
         """Four sides and a lid; `centre` of the bottom, `size` along x, y, z, `turn` about y in radians."""
@@ -100,22 +101,21 @@ class _Builder:
         width = max(places[k][1] + self.surfaces[k][4].shape[1] + pad for k in order)
         height = y + high
         atlas = np.zeros((height, width, 3), np.float32)
-        parts: list[list[np.ndarray]] = [[], [], [], [], []]
+        parts: list[list[np.ndarray]] = [[], [], [], [], [], []]
         offset = 0
-        for k, (points, normals, uv, triangles, picture, window) in enumerate(self.surfaces):
+        for k, (points, normals, uv, triangles, picture, kind) in enumerate(self.surfaces):
             i, j = places[k]
             h, w = picture.shape[:2]
             atlas[i - pad : i + h + pad, j - pad : j + w + pad] = np.pad(
                 picture, ((pad, pad), (pad, pad), (0, 0)), "edge"
             )
             placed = np.stack([(j + uv[:, 0] * w) / width, 1 - (i + (1 - uv[:, 1]) * h) / height], -1)
-            for part, value in zip(
-                parts, (points, normals, placed, triangles + offset, np.full(len(points), window)), strict=True
-            ):
+            marks = [np.full(len(points), kind == name) for name in ("window", "shirt")]
+            for part, value in zip(parts, (points, normals, placed, triangles + offset, *marks), strict=True):
                 part.append(value)
             offset += len(points)
-        points, normals, uv, triangles, window = (np.concatenate(part) for part in parts)
-        return Surroundings(points, normals, triangles.astype(np.int32), uv, atlas, window, towards_window)
+        points, normals, uv, triangles, window, shirt = (np.concatenate(part) for part in parts)
+        return Surroundings(points, normals, triangles.astype(np.int32), uv, atlas, window, shirt, towards_window)
 
 
 def _quads(rows: int, columns: int) -> np.ndarray:
@@ -157,7 +157,7 @@ def furnished_room(rng: np.random.Generator, texel: float, collar: np.ndarray | 
     # The window is in front of the subject: it lights one cheek and leaves the other in its own shade.
     ahead = np.linalg.norm(right) * (0.32 if side == "west" else 0.68)
     low_left = corner + across * (ahead - wide / 2) + np.array([0, 850.0, 0]) + inward * 12
-    build.rectangle(low_left, across * wide, np.array([0, tall, 0]), patterns.window(rng, 300, 320), window=True)
+    build.rectangle(low_left, across * wide, np.array([0, tall, 0]), patterns.window(rng, 300, 320), kind="window")
     towards = low_left + across * wide / 2 + np.array([0, tall / 2, 0])
 
     for name, (corner, right) in walls.items():
@@ -238,7 +238,7 @@ def _add_shirt(build: _Builder, collar: np.ndarray, picture: np.ndarray) -> None
     v = 1 - np.concatenate([[0], np.cumsum(lengths)]) / lengths.sum()
     uv = np.stack(np.broadcast_arrays((turns + np.pi)[None, :] / (2 * np.pi), v[:, None]), -1)
     triangles = _quads(len(steps) - 1, len(turns) - 1)[:, ::-1]
-    build.add(points.reshape(-1, 3), normals.reshape(-1, 3), uv.reshape(-1, 2), triangles, picture)
+    build.add(points.reshape(-1, 3), normals.reshape(-1, 3), uv.reshape(-1, 2), triangles, picture, kind="shirt")
 
 
 def _rounded(values: np.ndarray) -> np.ndarray:

@@ -1,0 +1,185 @@
+"""Everything that stands before the camera, made once: subject, skin, wrinkles, room, light and its occlusion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from avatarbuild.geometry.mipmap import Mipmap, build_mipmap
+from avatarbuild.simulation import wrinkles as folding
+from avatarbuild.simulation.chart import Chart, chart_of
+from avatarbuild.simulation.light import Light, harmonic_basis, occlusion, room_light
+from avatarbuild.simulation.rendering import Lit, Skin
+from avatarbuild.simulation.room import Surroundings, furnished_room
+from avatarbuild.simulation.skin import Surface, paint, random_person
+from avatarbuild.simulation.subject import Subject, random_subject
+from avatarbuild.simulation.wrinkles import Wrinkles
+from avatarbuild.template import Template
+
+_WRINKLE_CHART = 1024
+
+
+@dataclass(frozen=True)
+class Head:
+    """
+    A subject with a skin.
+
+    shut, wide: occlusion (n,) and mean unoccluded direction (n, 3), mouth closed and open; surface as painted on
+    `chart`, and as a mipmap for drawing.
+    """
+
+    subject: Subject
+    chart: Chart
+    surface: Surface
+    drawn: Mipmap
+    wrinkles: Wrinkles
+    shut: tuple[np.ndarray, np.ndarray]
+    wide: tuple[np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Studio:
+    """The subject, the room, and its light; `others` are further people in view, each with where they are (4, 4)."""
+
+    head: Head
+    room: Surroundings
+    light: Light
+    room_texture: Mipmap
+    shirt_open: np.ndarray
+    others: list[tuple[Head, np.ndarray]]
+
+
+def build_head(
+    template: Template, seed: int, texture: int, *, deviation: float = 1.0, shirt: tuple[np.ndarray, np.ndarray] | None
+) -> Head:
+    """Subject and skin of a seed; `shirt`: vertices and triangles that also hide light from the neck."""
+    rng = np.random.default_rng([seed, 1])
+    subject = random_subject(template, rng, deviation=deviation)
+    chart = chart_of(template, texture)
+    surface = paint(chart, random_person(rng))
+    wrinkles = folding.folds(chart_of(template, min(_WRINKLE_CHART, texture)), int(rng.integers(1 << 20)))
+    weights = np.zeros(len(template.expression_names))
+    shut = _occlusion(subject, subject.posed(weights), shirt)
+    weights[template.expression_index["jawOpen"]] = 0.8
+    wide = _occlusion(subject, subject.posed(weights), shirt)
+    return Head(subject, chart, surface, build_mipmap(surface.channels()), wrinkles, shut, wide)
+
+
+def build_studio(
+    template: Template, seed: int, texture: int, texel: float, *, deviation: float = 1.0, second_person: bool = False
+) -> Studio:
+    """The scene of a seed; `texture` texels along the side of the skin's chart, `texel` mm of the room's walls."""
+    rng = np.random.default_rng([seed, 2])
+    room = furnished_room(rng, texel, collar_of(template))
+    light = room_light(rng, room.towards_window)
+    shirt = room.vertices[room.shirt], room.triangles[room.shirt[room.triangles].all(axis=1)]
+    number = np.full(len(room.vertices), -1)
+    number[room.shirt] = np.arange(len(shirt[0]))
+    worn = (shirt[0], number[shirt[1]])
+    head = build_head(template, seed, texture, deviation=deviation, shirt=worn)
+    both = np.concatenate([worn[0], head.subject.neutral])
+    faces = np.concatenate([worn[1], template.triangles + len(worn[0])])
+    shirt_open = occlusion(both, faces, worn[0], room.normals[room.shirt], rays=64)[0]
+    others = []
+    if second_person:
+        place = np.eye(4)
+        turn = rng.uniform(-0.4, 0.4)
+        place[:3, :3] = [[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]
+        place[:3, 3] = [rng.choice([-1, 1]) * rng.uniform(300, 380), rng.uniform(-40, 80), rng.uniform(-450, -300)]
+        others.append((build_head(template, seed + 7919, min(texture, 1024), shirt=None), place))
+    return Studio(head, room, light, build_mipmap(room.albedo), shirt_open, others)
+
+
+def collar_of(template: Template) -> np.ndarray:
+    """(r, 3) mm: where the neck of the mean head leaves the shirt, a ring of points about 40 mm above its lower rim."""
+    skin = template.mean[template.parts["skin"].vertices]
+    neck = skin[template.regions["neck"][template.parts["skin"].vertices]]
+    low, high = neck[:, 1].min(), neck[:, 1].max()
+    at = low + 0.35 * (high - low)
+    return neck[np.abs(neck[:, 1] - at) < 6.0]
+
+
+def surroundings(studio: Studio, light: Light) -> Lit:
+    """The room under a light: the window shines, corners are dim, what is near the window is brighter."""
+    room = studio.room
+    matt = np.maximum(harmonic_basis(room.normals) @ light.harmonics, 0.03)
+    low, high = room.vertices.min(axis=0), room.vertices.max(axis=0)
+    walls = np.stack([room.vertices - low, high - room.vertices], axis=-1)
+    # A wall does not darken itself: only distances along the surface count.
+    across = np.abs(room.normals)[..., None] < 0.7
+    corners = np.prod(np.where(across, 1 - 0.3 * np.exp(-walls / 260.0), 1.0), axis=(1, 2))
+    share = corners.copy()
+    share[room.shirt] = studio.shirt_open
+    shade = matt * share[:, None]
+    centre = room.vertices[room.window].mean(axis=0)
+    towards = centre - room.vertices
+    distance = np.linalg.norm(towards, axis=1)
+    facing = np.maximum((towards * room.normals).sum(axis=1) / distance, 0)
+    shade += (0.35 * facing / (0.4 + (distance / 1200.0) ** 2))[:, None] * [0.9, 1.0, 1.1] * ~room.shirt[:, None]
+    return Lit(
+        room.vertices,
+        room.triangles,
+        room.uv,
+        room.triangles,
+        studio.room_texture,
+        np.where(room.window[:, None], 1.0, shade),
+    )
+
+
+def posed_head(head: Head, weights: np.ndarray, pose: np.ndarray | None = None) -> Skin:
+    """The head at weights (e,), moved by `pose` (4, 4) into the world."""
+    template = head.subject.template
+    R, t = (np.eye(3), np.zeros(3)) if pose is None else (pose[:3, :3], pose[:3, 3])
+    vertices = head.subject.posed(weights) @ R.T + t
+    normals = vertex_normals(vertices, template.triangles)
+    wide = float(np.clip(1.15 * weights[template.expression_index["jawOpen"]], 0, 1))
+    open_ = (1 - wide) * head.shut[0] + wide * head.wide[0]
+    bent = ((1 - wide) * head.shut[1] + wide * head.wide[1]) @ R.T
+    named = dict(zip(template.expression_names, weights.tolist(), strict=True))
+    detail = head.wrinkles.detail(folding.gains(named))
+    return Skin(
+        vertices,
+        normals,
+        vertex_tangents(vertices, template),
+        bent,
+        open_,
+        template.triangles,
+        template.uv,
+        template.uv_triangles,
+        head.drawn,
+        build_mipmap(detail) if detail.any() else None,
+    )
+
+
+def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(n, 3) unit: the area-weighted mean of the faces' normals."""
+    a, b, c = np.moveaxis(vertices[triangles], 1, 0)
+    return _gathered(np.cross(b - a, c - a), triangles, len(vertices))
+
+
+def vertex_tangents(vertices: np.ndarray, template: Template) -> np.ndarray:
+    """(n, 3) unit: the mean direction of growing u, weighted by the faces' size in the chart."""
+    a, b, c = np.moveaxis(vertices[template.triangles], 1, 0)
+    p, q, r = np.moveaxis(template.uv[template.uv_triangles], 1, 0)
+    along = (b - a) * (r - p)[:, 1:] - (c - a) * (q - p)[:, 1:]
+    handed = np.sign((q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0])
+    return _gathered(along * handed[:, None], template.triangles, len(vertices))
+
+
+def _gathered(per_face: np.ndarray, triangles: np.ndarray, n: int) -> np.ndarray:
+    total = np.stack(
+        [np.bincount(triangles.reshape(-1), np.repeat(per_face[:, c], 3), minlength=n) for c in range(3)], axis=1
+    )
+    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
+
+
+def _occlusion(
+    subject: Subject, vertices: np.ndarray, shirt: tuple[np.ndarray, np.ndarray] | None
+) -> tuple[np.ndarray, np.ndarray]:
+    triangles = subject.template.triangles
+    hiding, faces = vertices, triangles
+    if shirt is not None:
+        hiding = np.concatenate([vertices, shirt[0]])
+        faces = np.concatenate([triangles, shirt[1] + len(vertices)])
+    return occlusion(hiding, faces, vertices, vertex_normals(vertices, triangles))
