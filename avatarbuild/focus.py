@@ -1,0 +1,134 @@
+"""How sharp, bright, coloured and evenly lit a picture's face is, in numbers."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from scipy.linalg import eigh
+
+from avatarbuild.landmarks import crop, mirror, region_about
+
+_FINE, _COARSE = 1.0, 2.5  # pixels: standard deviations of the two Gaussians that edges are compared at
+_EDGES = 0.9  # only gradients above this quantile tell the blur; the rest is noise and smooth skin
+_LEAST_BLUR = 0.3  # pixels: what a sharp edge measures after a camera's demosaicing, about
+_PATCH = 192  # pixels: the upright face crop that colours are measured in
+_SATURATED = 250  # of 255, in any channel
+
+# rings of landmarks, the subject's right side where they have a side
+_OVAL = [
+    *(10, 338, 297, 332, 284, 251, 389, 356, 454, 323, 361, 288, 397, 365, 379, 378, 400, 377, 152, 148, 176, 149),
+    *(150, 136, 172, 58, 132, 93, 234, 127, 162, 21, 54, 103, 67, 109),
+]
+_EYE = [33, 246, 161, 160, 159, 158, 157, 173, 133, 155, 154, 153, 145, 144, 163, 7]
+_BROW = [70, 63, 105, 66, 107, 55, 65, 52, 53, 46]
+_LIPS = [61, 185, 40, 39, 37, 0, 267, 269, 270, 409, 291, 375, 321, 405, 314, 17, 84, 181, 91, 146]
+_CHEEK = [117, 118, 101, 36, 205, 187, 123]
+
+
+class Measures(NamedTuple):
+    """
+    blur           pixels: standard deviation of the Gaussian that would blur a step as much, in the worst direction
+    exposure       median linear luminance, 0..1
+    white_balance  (2,) log(R/G), log(B/G) of the linear means
+    clipped        share of pixels with a saturated channel
+    side_light     log2 of the left cheek's over the right cheek's luminance (the subject's); NaN without a face
+    contrast       log2 of the 95th over the 25th percentile of luminance: highlights over shaded skin
+    """
+
+    blur: float
+    exposure: float
+    white_balance: np.ndarray
+    clipped: float
+    side_light: float
+    contrast: float
+
+
+def measure(rgb: np.ndarray, points: np.ndarray | None) -> Measures:
+    """The measures of an (h, w, 3) uint8 sRGB picture's face with landmarks (478, 3), or of the whole picture."""
+    if points is None:
+        scale = min(1.0, _PATCH * 2 / max(rgb.shape[:2]))
+        small = cv2.resize(rgb, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        skin = np.ones(small.shape[:2], bool)
+        side = np.nan
+        blur = blur_radius(rgb)
+    else:
+        small, to_picture = crop(rgb, region_about(points), _PATCH)
+        local = np.linalg.solve(to_picture[:, :2], (points[:, :2] - to_picture[:, 2]).T).T
+        skin = _filled(local, [_OVAL]) & ~_filled(local, [_EYE, _twin(_EYE), _BROW, _twin(_BROW), _LIPS], grow=4)
+        if not skin.any():
+            skin = np.ones(small.shape[:2], bool)
+        luminance = linear(small) @ LUMINANCE
+        right, left = (luminance[_filled(local, [ring])] for ring in (_CHEEK, _twin(_CHEEK)))
+        side = float(np.log2(np.median(left) / np.median(right))) if min(left.size, right.size) > 20 else np.nan
+        low = np.maximum(points[:468, :2].min(0), 0).astype(int)
+        high = points[:468, :2].max(0).astype(int)
+        part = rgb[low[1] : high[1], low[0] : high[0]]
+        blur = blur_radius(part if min(part.shape[:2]) > 16 else rgb)
+    colours = linear(small[skin])
+    luminance = colours @ LUMINANCE
+    mean = np.maximum(colours.mean(0), 1e-4)
+    shade, light = np.maximum(np.percentile(luminance, [25, 95]), 1e-4)
+    return Measures(
+        blur,
+        float(np.median(luminance)),
+        np.log(mean[[0, 2]] / mean[1]),
+        float((small[skin] >= _SATURATED).any(1).mean()),
+        side,
+        float(np.log2(light / shade)),
+    )
+
+
+def blur_radius(rgb: np.ndarray) -> float:
+    """
+    Pixels: the blur b of a picture's edges in the direction where they are blurred most.
+
+    A step blurred by b and then by a Gaussian derivative of width s holds squared gradient in proportion to
+    1 / sqrt(b^2 + s^2). With M_s = sum g g^T over edge pixels, the least generalised eigenvalue r of
+    M_fine v = r M_coarse v is that ratio in the worst direction: r^2 = (b^2 + c^2) / (b^2 + f^2).
+    """
+    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    fine, coarse = _gradients(grey, _FINE), _gradients(grey, _COARSE)
+    strength = coarse[0] ** 2 + coarse[1] ** 2
+    edges = strength >= np.quantile(strength[::2, ::2], _EDGES)
+    # an edge's fine gradient lies within reach of its coarse one
+    edges = cv2.dilate(edges.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    a = np.stack([g[edges] for g in fine]).astype(np.float64)
+    b = np.stack([g[edges] for g in coarse]).astype(np.float64)
+    ground = 1e-6 * np.eye(2) * edges.sum()
+    ratio = float(eigh(a @ a.T + ground, b @ b.T + ground, eigvals_only=True)[0])
+    squared = ratio**2
+    if squared <= 1.0 + 1e-6:
+        return 20.0
+    blur = np.sqrt(max((_COARSE**2 - squared * _FINE**2) / (squared - 1.0), 0.0))
+    return float(np.clip(blur, _LEAST_BLUR, 20.0))
+
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
+
+
+def linear(rgb: np.ndarray) -> np.ndarray:
+    """Linear float64 of uint8 sRGB."""
+    return _DECODED[rgb]
+
+
+_CODE = np.arange(256) / 255.0
+_DECODED = np.where(_CODE <= 0.04045, _CODE / 12.92, ((_CODE + 0.055) / 1.055) ** 2.4)
+
+
+def _gradients(grey: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
+    smooth = cv2.GaussianBlur(grey, (0, 0), width)
+    return cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=1), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=1)
+
+
+def _filled(local: np.ndarray, rings: list[list[int]], grow: int = 0) -> np.ndarray:
+    """(s, s) bool: pixels of the face crop inside the rings of landmarks, grown by some pixels."""
+    mask = np.zeros((_PATCH, _PATCH), np.uint8)
+    for ring in rings:
+        cv2.fillPoly(mask, [np.round(local[ring] - 0.5).astype(np.int32)], (1,))
+    return cv2.dilate(mask, np.ones((1 + grow, 1 + grow), np.uint8)).astype(bool)
+
+
+def _twin(ring: list[int]) -> list[int]:
+    return [int(i) for i in mirror()[ring]]
