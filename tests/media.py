@@ -86,23 +86,22 @@ def photo(path: Path, rgb: np.ndarray, exif: bytes = b"", icc: bytes | None = No
     return path
 
 
-def heic(path: Path, rgb: np.ndarray, orientation: int = 1, how: str = "irot", icc: bytes | None = None, **tags) -> Path:
+def heic(
+    path: Path, rgb: np.ndarray, orientation: int = 1, how: str = "irot", icc: bytes | None = None, **tags
+) -> Path:
     """
-    An HEIC file of stored pixels whose orientation is said by properties of the picture ('irot'), by EXIF alone ('exif')
-    or by both ('both', as iPhones do).
+    An HEIC file of stored pixels whose orientation is said by properties of the picture ('irot'), by EXIF alone
+    ('exif') or by both ('both', as iPhones do).
 
-    The encoder turns an EXIF orientation into properties and resets it; the tag is put back into the bytes.
+    The encoder makes properties of an EXIF orientation and keeps the tag: the tag is changed in the bytes.
     """
-    block = exif_block(orientation=1 if how == "exif" else orientation, **tags)
+    given = 1 if how == "exif" else orientation
+    written = 1 if how == "irot" else orientation
     data = io.BytesIO()
+    block = exif_block(orientation=given, **tags)
     Image.fromarray(rgb).save(data, "HEIF", quality=95, chroma=444, exif=block, icc_profile=icc)
-    done = data.getvalue()
-    if how != "irot":
-        reset = exif_block(orientation=1, **tags)
-        wanted = exif_block(orientation=orientation, **tags)
-        assert done.count(reset) == 1
-        done = done.replace(reset, wanted)
-    path.write_bytes(done)
+    assert data.getvalue().count(block) == 1
+    path.write_bytes(data.getvalue().replace(block, exif_block(orientation=written, **tags)))
     return path
 
 
@@ -158,13 +157,13 @@ def huge_png(path: Path, width: int = 10_000, height: int = 10_000) -> Path:
 
 
 def clip(path: Path, n: int = 12, fps: float = 30.0, size: tuple[int, int] = (96, 64), **settings) -> Path:
-    """A clip whose frame i is of grey 20 + 15 i (mod 220) above the `quadrants`: tells its index and its orientation."""
+    """A clip of frames `numbered` by a grey bar on top of the `quadrants`: they tell their index and orientation."""
     encode_clip(path, [numbered(i, size) for i in range(n)], fps, **settings)
     return path
 
 
 def numbered(i: int, size: tuple[int, int] = (96, 64)) -> np.ndarray:
-    """Frame i of `clip`."""
+    """Frame i of `clip`: the bar is of grey 20 + 15 i (mod 220)."""
     rgb = quadrants("ABCD", *size)
     rgb[: size[1] // 4] = 20 + 15 * i % 220
     return rgb

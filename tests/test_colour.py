@@ -1,15 +1,18 @@
 """Colour: standards' own numbers, and identities."""
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
 
-from avatarbuild.formats import colour
+from avatarbuild.formats import colour, ycbcr
 from tests import media
 
 
 def test_srgb_curve_by_hand_and_back():
-    assert colour.linear_from_srgb(np.array([0.0, 0.04045, 0.5, 1.0])) == pytest.approx([0.0, 0.0031308, 0.214041, 1.0], abs=1e-6)
+    assert colour.linear_from_srgb(np.array([0.0, 0.04045, 0.5, 1.0])) == pytest.approx(
+        [0.0, 0.0031308, 0.214041, 1.0], abs=1e-6
+    )
     x = np.linspace(0.0, 1.0, 1001)
     assert colour.linear_from_srgb(colour.srgb_from_linear(x)) == pytest.approx(x, abs=1e-7)
 
@@ -69,7 +72,9 @@ def test_hdr_colours_of_srgb_come_back():
 
 def test_wide_primaries_and_the_same_colour_as_icc_profile():
     srgb = np.array([[200, 100, 50], [90, 160, 80], [128, 128, 128], [30, 40, 120]], np.float64)
-    wide = colour.srgb_from_linear(colour.linear_from_srgb(srgb / 255) @ np.linalg.inv(colour.gamut_matrix("Display P3")).T)
+    wide = colour.srgb_from_linear(
+        colour.linear_from_srgb(srgb / 255) @ np.linalg.inv(colour.gamut_matrix("Display P3")).T
+    )
     pixels = np.rint(wide * 255).astype(np.uint8)[None]
     assert np.abs(colour.srgb_from_primaries(pixels, "Display P3").astype(int) - srgb).max() <= 1
     by_icc = colour.srgb_from_icc(Image.fromarray(pixels), media.profile("Display P3", "Display P3"))
@@ -85,3 +90,37 @@ def test_profile_that_does_not_fit_is_an_error():
         colour.srgb_from_icc(Image.new("RGB", (4, 4)), b"nonsense" * 30)
     assert colour.profile_name(media.profile("Display P3", "Display P3")) == "Display P3"
     assert colour.profile_name(b"nonsense") == "unreadable ICC profile"
+
+
+def _rgb_slowly(y, cb, cr, bits, luma, full):
+    """The oracle: chroma by sampling at the luma positions, then the equations in float64."""
+    h, w = y.shape
+
+    def up(c):
+        x = np.arange(w) / (w / c.shape[1])
+        j = np.arange(h, dtype=float) if c.shape[0] == h else (np.arange(h) - 0.5) / 2
+        grid = [g.astype(np.float32) for g in np.meshgrid(x, j)]
+        return cv2.remap(c.astype(np.float32), *grid, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(float)
+
+    one, (kr, kb) = 2 ** (bits - 8), luma
+    top = 256 * one - 1
+    light = y / top if full else (y - 16.0 * one) / (219 * one)
+    b, r = ((up(c) - 128 * one) / (top if full else 224 * one) for c in (cb, cr))
+    red, blue = light + 2 * (1 - kr) * r, light + 2 * (1 - kb) * b
+    return np.clip(np.dstack([red, (light - kr * red - kb * blue) / (1 - kr - kb), blue]), 0, 1)
+
+
+@pytest.mark.parametrize("bits", [8, 10])
+@pytest.mark.parametrize("chroma", [(32, 48), (64, 48), (64, 96)])
+@pytest.mark.parametrize("full", [False, True])
+def test_planes_against_the_slow_way(bits, chroma, full):
+    random = np.random.default_rng(1)
+    kind = np.uint8 if bits == 8 else np.uint16
+    y = random.integers(0, 256 << (bits - 8), (64, 96)).astype(kind)
+    cb, cr = random.integers(0, 256 << (bits - 8), (2, *chroma)).astype(kind)
+    for luma in (ycbcr.BT709, ycbcr.BT601, ycbcr.BT2020):
+        expected = _rgb_slowly(y, cb, cr, bits, luma, full)
+        rgb = ycbcr.rgb_from_planes(y, cb, cr, bits, luma, full, deep=False)
+        assert np.abs(rgb - 255 * expected).max() < 0.6
+        deep = ycbcr.rgb_from_planes(y, cb, cr, bits, luma, full, deep=True)
+        assert np.abs(deep / 65535 - expected).max() < 1e-3

@@ -6,15 +6,20 @@ import math
 from typing import Any
 
 import av
+import cv2
 import numpy as np
 from av.video.reformatter import ColorRange, Colorspace, Interpolation
 
-from avatarbuild.formats import colour
+from avatarbuild.formats import colour, ycbcr
 
-# Y'CbCr matrices by their numbers in ITU-T H.273
-_MATRICES = {1: Colorspace.ITU709, 5: Colorspace.ITU601, 6: Colorspace.ITU601, 9: Colorspace.BT2020}
+# luma equations by the numbers of ITU-T H.273
+_LUMA = {1: ycbcr.BT709, 5: ycbcr.BT601, 6: ycbcr.BT601, 9: ycbcr.BT2020}
 
-# every other combination of swscale's is off by one or two grey levels, or repeats chroma samples
+_PLANAR = {"yuv420p", "yuvj420p", "yuv422p", "yuvj422p", "yuv444p", "yuvj444p"} | {
+    f"yuv{chroma}p{bits}le" for chroma in (420, 422, 444) for bits in (10, 12)
+}
+
+# swscale's other modes are off by one or two grey levels
 _EXACT = Interpolation.BILINEAR | Interpolation.FULL_CHR_H_INT | Interpolation.ACCURATE_RND | Interpolation.BITEXACT
 
 
@@ -25,27 +30,40 @@ def upright_srgb(frame: av.VideoFrame, size: tuple[int, int]) -> np.ndarray:
     SDR signals are taken for sRGB's, as players show them; wide primaries and HLG or PQ are converted by `colour`.
     """
     hdr = colour.HDR_CURVES.get(int(frame.color_trc or 0), "")
-    full = frame.color_range == ColorRange.JPEG or frame.format.name.startswith("yuvj")
-    converted = frame.reformat(
-        width=size[0],
-        height=size[1],
-        format="rgb48le" if hdr else "rgb24",
-        src_colorspace=_matrix(frame),
-        src_color_range=ColorRange.JPEG if full else ColorRange.MPEG,
-        dst_color_range=ColorRange.JPEG,
-        interpolation=_EXACT,
-        threads=1,
-    )
-    rgb = converted.to_ndarray()
+    rgb = _signal(frame, deep=bool(hdr))
     primaries = colour.WIDE_PRIMARIES.get(int(frame.color_primaries or 0))
     if hdr:
         rgb = colour.srgb_from_hdr(rgb, hdr, primaries or "BT.2020")
     elif primaries:
         rgb = colour.srgb_from_primaries(rgb, primaries)
+    if size != (frame.width, frame.height):
+        rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_LINEAR)
     turns, flipped = display_turn(frame)
     if flipped:
         rgb = rgb[:, ::-1]
     return np.ascontiguousarray(np.rot90(rgb, -turns))
+
+
+def _signal(frame: av.VideoFrame, deep: bool) -> np.ndarray:
+    """(h, w, 3) full-range R'G'B' as stored, uint8 or uint16."""
+    if frame.format.name not in _PLANAR:
+        frame = frame.reformat(format="yuv444p10le" if deep else "yuv444p", interpolation=_EXACT, threads=1)
+    bits = frame.format.components[0].bits
+    kind = np.dtype(np.uint8 if bits == 8 else "<u2")
+    planes = [
+        np.frombuffer(memoryview(plane), kind).reshape(-1, plane.line_size // kind.itemsize)[
+            : plane.height, : plane.width
+        ]
+        for plane in frame.planes
+    ]
+    full = frame.color_range == ColorRange.JPEG or frame.format.name.startswith("yuvj")
+    return ycbcr.rgb_from_planes(planes[0], planes[1], planes[2], bits, _luma(frame), full, deep)
+
+
+def _luma(frame: av.VideoFrame) -> tuple[float, float]:
+    """The luma equation of a frame: as tagged, else BT.709 from 720 lines on and BT.601 below, as players have it."""
+    unknown = ycbcr.BT709 if min(frame.width, frame.height) >= 720 else ycbcr.BT601
+    return _LUMA.get(int(frame.colorspace), unknown)
 
 
 def stored_frame(rgb: np.ndarray, pix_fmt: str, rotation: int, mirror: bool, wide: bool) -> av.VideoFrame:
@@ -89,9 +107,3 @@ def display_matrix(rotation: int, mirror: bool) -> list[int]:
     flip = -1 if mirror else 1
     one = 1 << 16
     return [flip * cos * one, flip * sin * one, 0, -sin * one, cos * one, 0, 0, 0, 1 << 30]
-
-
-def _matrix(frame: av.VideoFrame) -> Colorspace:
-    """The Y'CbCr matrix of a frame: as tagged, else BT.709 from 720 lines on and BT.601 below, as players have it."""
-    unknown = Colorspace.ITU709 if min(frame.width, frame.height) >= 720 else Colorspace.ITU601
-    return _MATRICES.get(int(frame.colorspace), unknown)

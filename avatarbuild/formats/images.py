@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import OpenImageIO as oiio
 import pillow_heif
-from PIL import Image, UnidentifiedImageError
+from PIL import Image, TiffImagePlugin, UnidentifiedImageError
 
 from avatarbuild.errors import InputError
 from avatarbuild.formats import colour, exif, heif
@@ -100,7 +100,7 @@ def read_photo(path: Path, max_pixels: float = math.inf) -> Photo:
     """
     with _opened(path) as (image, turn):
         facts = _facts(image, turn)
-        size = _fitting(image.size, max_pixels)
+        size = _fitting(_stored_size(image), max_pixels)
         try:
             rgb = _pixels(path, image, size)
         except (OSError, SyntaxError, ValueError, RuntimeError, EOFError) as e:
@@ -173,12 +173,19 @@ def _opened(path: Path) -> Iterator[tuple[Image.Image, int]]:
 
 def _facts(image: Image.Image, turn: int) -> PhotoFacts:
     tags = image.getexif()
-    width, height = image.size if turn < 5 else image.size[::-1]
+    width, height = _stored_size(image) if turn < 5 else _stored_size(image)[::-1]
     focal, source = exif.focal(tags, width, height)
     camera = exif.camera(tags)
     lens = f"{camera or 'unknown'} {exif.optics(tags)} {width}x{height}"
     mirrored = True if turn in (2, 4, 5, 7) else None
     return PhotoFacts((width, height), focal, source, exif.taken(tags), camera, lens, mirrored, _colour_name(image))
+
+
+def _stored_size(image: Image.Image) -> tuple[int, int]:
+    """Width and height before any turn; Pillow tells a TIFF's after it."""
+    if isinstance(image, TiffImagePlugin.TiffImageFile):
+        return int(image.tag_v2[256]), int(image.tag_v2[257])
+    return image.size
 
 
 def _colour_name(image: Image.Image) -> str:
@@ -212,29 +219,38 @@ def _pixels(path: Path, image: Image.Image, size: tuple[int, int]) -> np.ndarray
         raise InputError(f"{path}: its pixels are of kind {image.mode}; save it as 8 or 16 bit RGB or remove it")
     curve, primaries = _coded_colour(image)
     if curve:
-        rgb = colour.srgb_from_hdr(_heif_signal(path), curve, primaries or "BT.709")
-    elif image.format in ("PNG", "TIFF") and image.mode != "CMYK":
-        rgb = _profiled(path, Image.fromarray(_read_in_strips(path, size)), image)
-    else:
-        image.draft(None, size)
-        image.load()
-        rgb = _profiled(path, image if image.mode in ("L", "CMYK") else image.convert("RGB"), image)
-        if primaries:
-            rgb = colour.srgb_from_primaries(rgb, primaries)
-    if (rgb.shape[1], rgb.shape[0]) != size:
-        rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
-    return rgb
+        return _scaled(colour.srgb_from_hdr(_heif_signal(path), curve, primaries or "BT.709"), size)
+    if image.format in ("PNG", "TIFF"):
+        pixels = _scaled(_read_in_strips(path, size[0]), size)
+        return _profiled(path, pixels, image)
+    image.draft(None, size)
+    image.load()
+    if image.mode == "CMYK":
+        return _scaled(_profiled(path, image, image), size)
+    pixels = _scaled(np.asarray(image if image.mode in ("L", "RGB") else image.convert("RGB")), size)
+    rgb = _profiled(path, pixels, image)
+    return colour.srgb_from_primaries(rgb, primaries) if primaries else rgb
 
 
-def _profiled(path: Path, pixels: Image.Image, header: Image.Image) -> np.ndarray:
+def _scaled(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """(h, w) or (h, w, 3) averaged over areas to size (w, h)."""
+    if (pixels.shape[1], pixels.shape[0]) == size:
+        return pixels
+    return cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+
+
+def _profiled(path: Path, pixels: np.ndarray | Image.Image, header: Image.Image) -> np.ndarray:
     """(h, w, 3) uint8 sRGB of pixels in the colours of the header's ICC profile, if it has one."""
     profile = header.info.get("icc_profile")
     if profile:
+        picture = Image.fromarray(pixels) if isinstance(pixels, np.ndarray) else pixels
         try:
-            return np.asarray(colour.srgb_from_icc(pixels, profile))
+            return np.asarray(colour.srgb_from_icc(picture, profile))
         except ValueError as e:
             log.warning("%s: %s; its colours are taken for sRGB", path.name, e)
-    return np.asarray(pixels.convert("RGB"))
+    if isinstance(pixels, Image.Image):
+        return np.asarray(pixels.convert("RGB"))
+    return pixels if pixels.ndim == 3 else np.repeat(pixels[:, :, None], 3, axis=2)
 
 
 def _heif_signal(path: Path) -> np.ndarray:
@@ -247,12 +263,11 @@ def _heif_signal(path: Path) -> np.ndarray:
     return signal[:, :, :3]
 
 
-def _read_in_strips(path: Path, size: tuple[int, int]) -> np.ndarray:
+def _read_in_strips(path: Path, width: int) -> np.ndarray:
     """
-    (h, w) grey or (h, w, 3) uint8 of a PNG or TIFF file; transparent parts black.
+    (h, width) grey or (h, width, 3) uint8 of a PNG or TIFF file; transparent parts black.
 
-    Averaged over whole squares of pixels while reading, as far as size (w, h) allows, so that 100 megapixels in 16 bit
-    need no more memory than the result and a strip.
+    Rows are shortened while they are read: 100 megapixels in 16 bit never lie in memory as a whole.
     """
     source = oiio.ImageInput.open(str(path))
     if source is None:
@@ -260,18 +275,17 @@ def _read_in_strips(path: Path, size: tuple[int, int]) -> np.ndarray:
     try:
         spec = source.spec()
         n = 3 if spec.nchannels >= 3 else 1
-        k = min(max(1, spec.width // size[0]), max(1, spec.height // size[1]))
-        rows = max(1, spec.tile_height) * k * max(1, _STRIP // (max(1, spec.tile_height) * k))
-        reduced = np.empty((-(-spec.height // k), -(-spec.width // k), n), np.uint8)
-        for top in range(0, spec.height, rows):
-            bottom = min(top + rows, spec.height)
+        pixels = np.empty((spec.height, width, n), np.uint8)
+        step = max(1, spec.tile_height) * max(1, _STRIP // max(1, spec.tile_height))
+        for top in range(0, spec.height, step):
+            bottom = min(top + step, spec.height)
             strip = _read_rows(source, spec, top, bottom, n)
-            if k > 1:
-                strip = cv2.resize(strip, (reduced.shape[1], -(-(bottom - top) // k)), interpolation=cv2.INTER_AREA)
-            reduced[top // k : -(-bottom // k)] = strip.reshape(-1, reduced.shape[1], n)
+            if width != spec.width:
+                strip = cv2.resize(strip, (width, bottom - top), interpolation=cv2.INTER_AREA)
+            pixels[top:bottom] = strip.reshape(-1, width, n)
     finally:
         source.close()
-    return reduced if n == 3 else reduced[:, :, 0]
+    return pixels if n == 3 else pixels[:, :, 0]
 
 
 def _read_rows(source: oiio.ImageInput, spec: oiio.ImageSpec, top: int, bottom: int, n: int) -> np.ndarray:
