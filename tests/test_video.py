@@ -163,14 +163,18 @@ def test_indices_are_exact_with_seeking(tmp_path, codec):
     assert [i for i, _, _ in video.decode_frames(path, [5, 5, 999, -1])] == [5]
 
 
-def test_open_groups_of_pictures(tmp_path):
+@pytest.mark.parametrize(
+    "encoder,options",
+    [
+        ("libx265", {"x265-params": "keyint=8:min-keyint=8:open-gop=1:bframes=4:log-level=none:pools=none"}),
+        ("libx264", {"x264-params": "keyint=8:min-keyint=8:open-gop=1:bframes=3:b-pyramid=normal:scenecut=0"}),
+    ],
+)
+def test_open_groups_of_pictures(tmp_path, encoder, options):
     """B-frames that lean on the keyframe after them are found from the keyframe before."""
     path = tmp_path / "a.mp4"
     with av.open(str(path), "w") as container:
-        options = {
-            "x265-params": "keyint=8:min-keyint=8:open-gop=1:bframes=4:log-level=none:pools=none:frame-threads=1"
-        }
-        stream = container.add_stream("libx265", rate=30, options=options)
+        stream = container.add_stream(encoder, rate=30, options=options)
         stream.width, stream.height, stream.pix_fmt = 96, 64, "yuv420p"
         for i in range(40):
             frame = av.VideoFrame.from_ndarray(media.texture(96, 64, i), format="rgb24").reformat(format="yuv420p")
@@ -182,6 +186,25 @@ def test_open_groups_of_pictures(tmp_path):
         [(found, _, rgb)] = video.decode_frames(path, [i])
         assert found == i
         assert (rgb == whole[i]).all()
+
+
+def test_trimmed_clips_count_what_is_shown(tmp_path):
+    """Phones trim by an edit list: the keyframe before the cut stays in the file, unseen."""
+    whole, trimmed = tmp_path / "a.mp4", tmp_path / "b.mp4"
+    video.encode_clip(whole, [media.texture(96, 64, i) for i in range(30)], 30, keyframe_every=15)
+    data = bytearray(whole.read_bytes())
+    at = data.find(b"elst") + 16
+    start = int.from_bytes(data[at : at + 4], "big") + 10 * 90000 // 30
+    data[at : at + 4] = start.to_bytes(4, "big")
+    trimmed.write_bytes(bytes(data))
+    full = [rgb for *_, rgb in video.decode_frames(whole)]
+    assert len(_decoder_times(trimmed)) == len(video.frame_times(trimmed)) == video.open_video(trimmed).frames == 20
+    assert all((rgb == full[10 + i]).all() for i, _, rgb in video.decode_frames(trimmed))
+    for i in range(20):
+        [(found, time, rgb)] = video.decode_frames(trimmed, [i])
+        assert found == i
+        assert time == pytest.approx(i / 30, abs=1e-4)
+        assert (rgb == full[10 + i]).all()
 
 
 def test_clips_and_decoding_repeat_bit_for_bit(tmp_path):
@@ -292,9 +315,13 @@ def test_noise_in_the_middle_is_left_out_with_a_warning(tmp_path, caplog):
     middle = len(data) // 2
     data[middle : middle + 4000] = bytes(4000)
     path.write_bytes(bytes(data))
-    found = [i for i, _, _ in video.decode_frames(path)]
+    frames = list(video.decode_frames(path))
+    found = [i for i, _, _ in frames]
     assert len(video.frame_times(path)) == 40
     assert found == sorted(set(found))
+    for (i, _, rgb), (j, _, again) in zip(frames, video.decode_frames(path)):
+        assert i == j
+        assert (rgb == again).all()
     assert 15 <= len(found) < 40
     assert "cannot be decoded" in caplog.text
 

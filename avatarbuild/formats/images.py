@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
 import logging
 import math
@@ -24,9 +23,7 @@ from avatarbuild.formats import colour, exif, heif
 
 log = logging.getLogger(__name__)
 
-_HEIF_SUFFIXES = frozenset({".heic", ".heif", ".hif"})
-_RAW_SUFFIXES = frozenset({".dng"}) if importlib.util.find_spec("rawpy") else frozenset()
-PHOTO_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"}) | _HEIF_SUFFIXES | _RAW_SUFFIXES
+PHOTO_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".heic", ".heif", ".hif"})
 
 MAX_PIXELS = 300_000_000  # beyond any phone; a larger picture is a stitched panorama or a trap
 

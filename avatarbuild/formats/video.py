@@ -73,7 +73,10 @@ class VideoFile:
 
 @dataclass(frozen=True)
 class _Packets:
-    """The frames' presentation times (f,) in ticks, sorted, those of keyframes among them, and a tick in seconds."""
+    """
+    ticks (f,) the frames' presentation times, sorted;  keys (j,) those of keyframes, also of hidden ones;
+    tick seconds of one;  tail the last frame's seconds.
+    """
 
     ticks: np.ndarray
     keys: np.ndarray
@@ -129,7 +132,8 @@ def frame_times(path: Path) -> np.ndarray:
 def keyframes(path: Path) -> np.ndarray:
     """(j,) int: indices of the frames that decode alone, cheap to `decode_frames` by themselves, in rising order."""
     packets = _packets(path)
-    return np.searchsorted(packets.ticks, packets.keys)
+    found = np.searchsorted(packets.ticks, packets.keys)
+    return np.unique(found[found < len(packets.ticks)])
 
 
 def decode_frames(path: Path, wanted: Iterable[int] | None = None) -> Iterator[tuple[int, float, np.ndarray]]:
@@ -155,13 +159,13 @@ def decode_frames(path: Path, wanted: Iterable[int] | None = None) -> Iterator[t
 def _picked(container: Any, packets: _Packets, asked: list[int]) -> Iterator[tuple[int, av.VideoFrame]]:
     """(index, frame) of the frames asked for (rising), in one pass that skips to keyframes where that saves work."""
     index_of: dict[int | None, int] = {int(tick): i for i, tick in enumerate(packets.ticks)}
-    keys = [index_of[int(tick)] for tick in packets.keys]
+    keys = list(np.searchsorted(packets.ticks, packets.keys))
     stream = _stream(container)
     frames, position = _decoded(container, stream), -1
     for index in asked:
-        earlier = keys[: bisect_right(keys, index)]
-        if earlier and earlier[-1] > position + 1:
-            frames, position = _from_keyframe(container, packets, index_of, earlier), -1
+        earlier = bisect_right(keys, index)
+        if earlier and keys[earlier - 1] > position + 1:
+            frames, position = _from_keyframe(container, packets.keys[:earlier], int(packets.ticks[index])), -1
         for frame in frames:
             position = index_of.get(frame.pts, position)
             if position >= index:
@@ -172,16 +176,14 @@ def _picked(container: Any, packets: _Packets, asked: list[int]) -> Iterator[tup
             yield index, frame
 
 
-def _from_keyframe(
-    container: Any, packets: _Packets, index_of: dict[int | None, int], keys: list[int]
-) -> Iterator[av.VideoFrame]:
-    """Frames from the last of these keyframes (frame indices) on, or from an earlier one where seeking lands late."""
+def _from_keyframe(container: Any, keys: np.ndarray, wanted: int) -> Iterator[av.VideoFrame]:
+    """Frames from the last of these keyframes (ticks) on, from an earlier one where seeking lands behind `wanted`."""
     stream = _stream(container)
     for key in reversed(keys):
-        container.seek(int(packets.ticks[key]), stream=stream, backward=True)
+        container.seek(int(key), stream=stream, backward=True)
         frames = _decoded(container, stream)
         first = next(frames, None)
-        if first is not None and index_of.get(first.pts, len(index_of)) <= key:
+        if first is not None and first.pts is not None and first.pts <= wanted:
             return chain([first], frames)
     container.seek(0, backward=True)
     return _decoded(container, stream)
@@ -255,15 +257,15 @@ def _scan(path: Path, mtime: int, size: int) -> _Packets:
         stream = _stream(container)
         try:
             for packet in container.demux(stream):
-                if packet.size == 0 or packet.is_discard or packet.is_corrupt:
-                    continue
                 tick = packet.pts if packet.pts is not None else packet.dts
-                if tick is None:
+                if packet.size == 0 or packet.is_corrupt or tick is None:
                     continue
-                ticks.append(tick)
-                last = packet.duration or last
                 if packet.is_keyframe:
                     keys.append(tick)
+                # a trimmed clip keeps the frames before its start for the decoder, not for the eye
+                if not packet.is_discard:
+                    ticks.append(tick)
+                    last = packet.duration or last
         except av.FFmpegError as e:
             log.warning("%s: damaged after %d frames (%s)", path.name, len(ticks), e.strerror)
         if not ticks or not keys:
