@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import logging
 import math
-import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,7 +18,7 @@ import pillow_heif
 from PIL import Image, TiffImagePlugin, UnidentifiedImageError
 
 from avatarbuild.errors import InputError
-from avatarbuild.formats import colour, exif, heif
+from avatarbuild.formats import colour, exif, heif, picture_files
 
 log = logging.getLogger(__name__)
 
@@ -32,6 +31,9 @@ Image.MAX_IMAGE_PIXELS = None
 pillow_heif.register_heif_opener(thumbnails=False)
 
 _STRIP = 256  # rows read at a time
+
+# what the readers raise for broken files
+_FAULTS = (OSError, SyntaxError, ValueError, RuntimeError, EOFError)
 
 
 @dataclass(frozen=True)
@@ -100,8 +102,9 @@ def read_photo(path: Path, max_pixels: float = math.inf) -> Photo:
         size = _fitting(_stored_size(image), max_pixels)
         try:
             rgb = _pixels(path, image, size)
-        except (OSError, SyntaxError, ValueError, RuntimeError, EOFError) as e:
-            raise InputError(f"{path}: cannot be read to its end ({_line(e)}); copy it again or remove it") from e
+        except _FAULTS as e:
+            log.debug("%s: %s", path.name, e)
+            raise InputError(f"{path}: damaged, cannot be read to its end; copy it again or remove it") from e
     rgb = upright(rgb, turn)
     scale = rgb.shape[1] / facts.size[0]
     return Photo(
@@ -152,16 +155,17 @@ def _opened(path: Path) -> Iterator[tuple[Image.Image, int]]:
             image = Image.open(io.BytesIO(data))
     except UnidentifiedImageError as e:
         raise InputError(f"{path}: not a picture that can be read; copy it again or remove it") from e
-    except (OSError, SyntaxError, ValueError, RuntimeError, EOFError) as e:
-        raise InputError(f"{path}: damaged picture ({_line(e)}); copy it again or remove it") from e
+    except _FAULTS as e:
+        log.debug("%s: %s", path.name, e)
+        raise InputError(f"{path}: damaged, its header cannot be read; copy it again or remove it") from e
     with image:
         if image.width * image.height > MAX_PIXELS:
             found = f"{image.width} x {image.height} pixels"
             raise InputError(f"{path}: {found}, more than 300 million; scale it down or remove it")
-        if image.format in ("JPEG", "MPO") and not _jpeg_is_whole(data):
-            raise InputError(f"{path}: the JPEG file ends early; copy it from the camera again or remove it")
+        if not picture_files.is_whole(data, image.format):
+            raise InputError(f"{path}: the file ends early; copy it from the camera again or remove it")
         if image.format == "PNG":
-            image.info["exif"] = image.info.get("exif") or _png_exif(data)
+            image.info["exif"] = image.info.get("exif") or picture_files.png_exif(data)
         turn = exif.orientation(image.getexif())
         if image.format == "HEIF":
             turn = 1 if heif.turns_itself(data) else image.info.get("original_orientation") or 1
@@ -296,47 +300,3 @@ def _read_rows(source: oiio.ImageInput, spec: oiio.ImageSpec, top: int, bottom: 
     if pixels is None:
         raise OSError(source.geterror())
     return np.asarray(pixels).reshape(-1, spec.width, n)[: bottom - top]
-
-
-# a marker inside entropy-coded data: not a stuffed 0xFF00, a restart or a fill byte
-_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
-
-
-def _jpeg_is_whole(data: bytes) -> bool:
-    """
-    Whether the first picture reaches its end-of-image marker.
-
-    Decoders fill what is missing with grey, or take zeros after an interrupted copy for pixels.
-    """
-    at = 2
-    while 0 <= at < len(data) - 1:
-        if data[at] != 0xFF:
-            return False
-        kind = data[at + 1]
-        if kind == 0xD9:
-            return True
-        if kind == 0xFF:
-            at += 1
-            continue
-        at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-        if kind == 0xDA:
-            found = _MARKER.search(data, at)
-            if found is None:
-                return False
-            at = found.start()
-    return False
-
-
-def _png_exif(data: bytes) -> bytes:
-    """The EXIF block of a PNG file wherever it stands; Pillow would decode the whole picture to look behind it."""
-    at = 8
-    while at + 8 <= len(data):
-        size = int.from_bytes(data[at : at + 4], "big")
-        if data[at + 4 : at + 8] == b"eXIf":
-            return data[at + 8 : at + 8 + size]
-        at += size + 12
-    return b""
-
-
-def _line(e: BaseException) -> str:
-    return " ".join(str(e).split()) or type(e).__name__

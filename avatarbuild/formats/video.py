@@ -225,7 +225,7 @@ def _opened(path: Path) -> Iterator[Any]:
     with container:
         stream = _stream(container)
         if stream is None:
-            raise InputError(f"{path}: holds no video; remove it or record a video")
+            raise InputError(f"{path}: holds no video that can be read; copy it from the camera again or remove it")
         if stream.codec_context is None:
             raise InputError(f"{path}: its video codec cannot be decoded; convert it to H.264 or HEVC in an MP4 file")
         stream.thread_type = "FRAME"
