@@ -1,0 +1,310 @@
+"""The command line: verbs, options, exit codes, errors as one line."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import os
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import rich.console
+import rich.markup
+import rich.progress
+import rich.table
+import typer
+
+from avatarbuild import __version__, pipeline
+from avatarbuild import options as all_options
+from avatarbuild.errors import InputError
+from avatarbuild.progress import Task
+from avatarbuild.project import Project, default_project, digest_files
+
+DONE, FAULT, BAD_INPUT, STOPPED = 0, 1, 2, 130
+JSON_VERSION = 1
+
+app = typer.Typer(add_completion=False, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
+screen = rich.console.Console(stderr=True, highlight=False)
+log = logging.getLogger(__name__)
+
+CapturePath = Annotated[Path, typer.Argument(metavar="CAPTURE", help="Folder with photos and a video.")]
+ProjectPath = Annotated[Path, typer.Argument(metavar="PROJECT", help="Project folder of an earlier run.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
+
+
+class Bars:
+    """Progress on the screen: a bar with an estimate on a terminal, a line every ten seconds elsewhere."""
+
+    @contextlib.contextmanager
+    def task(self, label: str, total: float) -> Iterator[Task]:
+        log.info("%s", label)
+        if not screen.is_terminal:
+            yield _Lines(label, total)
+            return
+        columns = (
+            rich.progress.TextColumn("  {task.description}"),
+            rich.progress.BarColumn(bar_width=30),
+            rich.progress.TaskProgressColumn(),
+            rich.progress.TimeRemainingColumn(compact=True),
+        )
+        with rich.progress.Progress(*columns, console=screen, transient=True) as bars:
+            yield _Bar(bars, bars.add_task(label, total=total))
+
+
+class _Bar:
+    def __init__(self, bars: rich.progress.Progress, number: rich.progress.TaskID) -> None:
+        self.bars, self.number = bars, number
+
+    def advance(self, n: float = 1) -> None:
+        self.bars.advance(self.number, n)
+
+
+class _Lines:
+    def __init__(self, label: str, total: float) -> None:
+        self.label, self.total, self.done = label, total, 0.0
+        self.started = self.told = time.monotonic()
+
+    def advance(self, n: float = 1) -> None:
+        self.done += n
+        now = time.monotonic()
+        if now - self.told < 10:
+            return
+        self.told = now
+        left = (now - self.started) * max(self.total - self.done, 0) / max(self.done, 1e-9)
+        screen.print(f"  {self.label}: {100 * self.done / self.total:.0f} %, about {left:.0f} s left")
+
+
+def _settings(pairs: list[str]) -> dict[str, str]:
+    values = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not equals or "." not in key:
+            raise InputError(f"--set {pair} is not of the form stage.option=value, like --set points.window=6")
+        values[key.strip()] = value.strip()
+    return values
+
+
+def _figures(line: pipeline.StageState) -> str:
+    return ", ".join(f"{name} {value}" for name, value in line.figures.items() if not isinstance(value, dict | list))
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"avatarbuild {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def program(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")] = False,
+) -> None:
+    """Animatable 3D avatars from phone photos and a short video, on your own machine."""
+
+
+@app.command()
+def run(
+    capture: CapturePath,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Project folder; default CAPTURE.avatar.")] = None,
+    first: Annotated[str | None, typer.Option("--from", help="Run this stage and what follows again.")] = None,
+    until: Annotated[str | None, typer.Option(help="Stop after this stage.")] = None,
+    only: Annotated[str | None, typer.Option(help="Run this stage alone; its inputs must be fresh.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Run the chosen stages although they are fresh.")] = False,
+    pairs: Annotated[
+        list[str] | None, typer.Option("--set", help="stage.option=value; kept in the project; 'default' undoes.")
+    ] = None,
+    quality: Annotated[str | None, typer.Option(help="draft, standard or high; kept in the project.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Build the avatar of a capture; go on where the project left off."""
+    from avatarbuild.capture_folder import find_capture
+
+    what = pipeline.plan(first, until, only, force)
+    changes = _settings(pairs or [])
+    found = find_capture(capture)
+    project = Project(output if output is not None else default_project(capture))
+    with project.lock(), _log_into(project.log_file):
+        log.info("avatarbuild %s: run %s", __version__, what)
+        kept = project.settings()
+        quality = quality or kept.get("quality", "standard")
+        settings = {**kept.get("options", {}), **changes}
+        settings = {key: value for key, value in settings.items() if value != "default"}
+        chosen = all_options.stage_options(quality, settings)
+        project.write_settings(capture, quality, settings)
+        project.require_space(int(2.0 * sum(path.stat().st_size for path in found.photos) + 5e8))
+        ran: list[dict[str, Any]] = []
+
+        def tell(line: pipeline.StageState, now: bool) -> None:
+            ran.append(_line_json(line) | {"ran": now})
+            if as_json:
+                return
+            time_ = f"{line.seconds:.0f} s" if now and line.seconds is not None else "fresh"
+            screen.print(f"[bold]{line.name}[/]  {time_}  {_figures(line)}")
+            for warning in line.warnings if now else []:
+                screen.print(f"  [yellow]warning[/] {rich.markup.escape(warning)}")
+
+        digest = digest_files(found.root, found.files)
+        error = None
+        try:
+            pipeline.run(project, capture, digest, chosen, what, Bars(), tell)
+        except InputError as caught:
+            error = caught
+            log.error("%s", caught)
+        if as_json:
+            answer = {"version": JSON_VERSION, "project": str(project.root), "stages": ran}
+            answer["error"] = None if error is None else str(error)
+            typer.echo(json.dumps(answer, indent=1, ensure_ascii=False))
+        if error is not None:
+            raise error
+        if not as_json:
+            last = ran[-1]["stage"]
+            screen.print(f"{project.root}: done up to stage {last}" + _what_is_missing(last))
+
+
+def _what_is_missing(last: str) -> str:
+    return ", the last one that exists in this version" if last == pipeline.NAMES[-1] and last != "avatar" else ""
+
+
+def _line_json(line: pipeline.StageState) -> dict[str, Any]:
+    return {
+        "stage": line.name,
+        "state": line.state,
+        "figures": line.figures,
+        "warnings": line.warnings,
+        "timing": {"seconds": line.seconds},
+    }
+
+
+@app.command()
+def status(project_folder: ProjectPath, as_json: Json = False) -> None:
+    """A table of the stages: fresh, stale or missing, seconds, figures."""
+    from avatarbuild.capture_folder import find_capture
+
+    project = _existing(project_folder)
+    kept = project.settings()
+    chosen = all_options.stage_options(kept.get("quality", "standard"), kept.get("options", {}))
+    digest = ""
+    try:
+        found = find_capture(project.root / kept.get("capture", ""))
+        digest = digest_files(found.root, found.files)
+    except InputError as error:
+        screen.print(f"[yellow]warning[/] {rich.markup.escape(str(error))}")
+    lines = pipeline.states(project, pipeline.keys(digest, chosen))
+    if as_json:
+        answer = {"version": JSON_VERSION, "project": str(project.root), "stages": [_line_json(line) for line in lines]}
+        typer.echo(json.dumps(answer, indent=1, ensure_ascii=False))
+        return
+    table = rich.table.Table("stage", "state", "seconds", "figures", box=None)
+    for line in lines:
+        seconds = "" if line.seconds is None else f"{line.seconds:.0f}"
+        table.add_row(line.name, line.state, seconds, _figures(line))
+    rich.console.Console().print(table)
+
+
+@app.command()
+def clean(
+    project_folder: ProjectPath,
+    stages: Annotated[list[str] | None, typer.Option("--stage", help="Delete this stage's folder; may be repeated.")] = None,
+) -> None:
+    """Show what a project takes on disk; with --stage, delete that."""
+    project = _existing(project_folder)
+    for stage in stages or []:
+        if stage not in pipeline.NAMES:
+            raise InputError(f"no stage '{stage}', {all_options.nearest(stage, pipeline.NAMES)}")
+    with project.lock():
+        for stage in stages or []:
+            project.remove(stage)
+        table = rich.table.Table("folder", "MB", box=None)
+        for name, size in project.sizes().items():
+            table.add_row(name, f"{size / 1e6:.1f}")
+        rich.console.Console().print(table)
+
+
+@app.command()
+def options(as_json: Json = False) -> None:
+    """Every option of every stage: default, unit, sentence."""
+    rows = all_options.described()
+    if as_json:
+        typer.echo(json.dumps({"version": JSON_VERSION, "options": rows}, indent=1, ensure_ascii=False))
+        return
+    table = rich.table.Table("option", "default", "draft", "high", "unit", "what it does", box=None)
+    for row in rows:
+        values = [row["default"], row["draft"], row["high"]]
+        table.add_row(row["option"], *[str(v) for v in values], row["unit"], row["sentence"])
+    rich.console.Console().print(table)
+
+
+@app.command()
+def check(
+    capture: CapturePath,
+    picture: Annotated[Path | None, typer.Option(help="Where the picture of the coverage goes (PNG).")] = None,
+    as_json: Json = False,
+) -> None:
+    """Look at a capture before heavy work: what is good, usable, to be shot again."""
+    from avatarbuild import doctor
+
+    checkup = doctor.examine(capture, Bars())
+    place = picture if picture is not None else default_project(capture).with_suffix(".check.png")
+    try:
+        place.write_bytes(checkup.picture)
+    except OSError as error:
+        raise InputError(f"the picture cannot be written to {place} ({error.strerror}): name another file with --picture") from None
+    if as_json:
+        typer.echo(json.dumps(checkup.as_json(), indent=1, ensure_ascii=False))
+        return
+    rich.console.Console().print(doctor.table(checkup))
+    screen.print(f"picture of the coverage: {place}")
+
+
+def _existing(folder: Path) -> Project:
+    if not (folder / "project.toml").is_file():
+        raise InputError(f"{folder} holds no project.toml: name a project folder made by `avatarbuild run`")
+    return Project(folder)
+
+
+@contextlib.contextmanager
+def _log_into(file: Path) -> Iterator[None]:
+    root = logging.getLogger("avatarbuild")
+    handler = logging.FileHandler(file, encoding="utf-8")
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    root.addHandler(handler)
+    root.setLevel(logging.INFO)
+    root.propagate = False
+    try:
+        yield
+    except Exception:
+        root.exception("the run ends")
+        raise
+    finally:
+        root.removeHandler(handler)
+        handler.close()
+
+
+def run_program() -> None:
+    """The console script: runs a verb, turns exceptions into one line and an exit code."""
+    logging.getLogger("avatarbuild").addHandler(logging.NullHandler())
+    try:
+        code = app(standalone_mode=False)
+    except InputError as error:
+        screen.print(f"[red]error[/] {rich.markup.escape(str(error))}", soft_wrap=True)
+        code = BAD_INPUT
+    except (KeyboardInterrupt, typer.Abort, EOFError):
+        screen.print("stopped: finished stages are kept, the same command goes on from there")
+        code = STOPPED
+    except typer.TyperException as error:  # a misspelt verb or flag
+        error.show() if hasattr(error, "show") else screen.print(f"[red]error[/] {error}")
+        code = BAD_INPUT
+    except Exception as error:
+        if os.environ.get("AVATARBUILD_TRACEBACK"):
+            raise
+        kind = type(error).__name__
+        screen.print(
+            f"[red]fault[/] {kind}: {rich.markup.escape(str(error))} — a fault of this program, not of your input; the "
+            "project's avatarbuild.log tells more, and AVATARBUILD_TRACEBACK=1 shows where",
+            soft_wrap=True,
+        )
+        code = FAULT
+    sys.exit(code if isinstance(code, int) else DONE)

@@ -1,0 +1,193 @@
+"""The table of contents of the program: its stages, their order, and the runner that keeps them fresh."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib
+import json
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from avatarbuild import __version__, artefacts, options
+from avatarbuild.errors import InputError
+from avatarbuild.progress import Progress
+from avatarbuild.project import Project
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A row: `avatarbuild.stages.<name>.run(*needs, options, progress)` makes the artefact."""
+
+    name: str
+    needs: tuple[str, ...]
+    makes: type
+    options: type
+    version: int
+    sentence: str
+
+
+STAGES = (
+    Stage("capture", (), artefacts.Capture, options.CaptureOptions, 1, "upright photos, video frames, landmarks"),
+    Stage("cameras", ("capture",), artefacts.Cameras, options.CamerasOptions, 1, "where each photo was taken from"),
+    Stage("points", ("capture", "cameras"), artefacts.Cloud, options.PointsOptions, 1, "a dense cloud of the head"),
+)
+NAMES = [stage.name for stage in STAGES]
+
+
+@dataclass(frozen=True)
+class StageState:
+    """One line of `status`: state is 'fresh', 'stale' or 'missing'."""
+
+    name: str
+    state: str
+    seconds: float | None
+    figures: dict[str, Any]
+    warnings: list[str]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Which stages a run may touch, and which of them run although they are fresh."""
+
+    selected: list[str]
+    forced: list[str]
+    only: bool
+
+
+def plan(first: str | None, until: str | None, only: str | None, force: bool) -> Plan:
+    """
+    The stages named by --from, --until, --only and --force.
+
+    Raises InputError for unknown names (with the nearest real one) and contradictions.
+    """
+    for name in (first, until, only):
+        if name is not None and name not in NAMES:
+            raise InputError(f"no stage '{name}', {options.nearest(name, NAMES)}")
+    if only is not None:
+        if first is not None or until is not None:
+            raise InputError("--only was given with --from or --until: give --only alone, or the other two")
+        return Plan([only], [only] if force else [], True)
+    last = NAMES.index(until) if until is not None else len(NAMES) - 1
+    start = NAMES.index(first) if first is not None else 0
+    if start > last:
+        raise InputError(f"--from {first} comes after --until {until}: the order is {', '.join(NAMES)}")
+    selected = NAMES[: last + 1]
+    forced = selected[start:] if first is not None else selected if force else []
+    return Plan(selected, forced, False)
+
+
+def keys(capture_digest: str, chosen: dict[str, Any]) -> dict[str, str]:
+    """
+    What each stage's artefact is made of, as a hash: the stage's version, its options, the keys of the stages that it
+    needs and, for the capture, the bytes of its files.
+    """
+    made: dict[str, str] = {}
+    for stage in STAGES:
+        recipe = {
+            "stage": stage.name,
+            "version": stage.version,
+            "options": dataclasses.asdict(chosen[stage.name]),
+            "needs": [made[name] for name in stage.needs] or [capture_digest],
+        }
+        made[stage.name] = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
+    return made
+
+
+def states(project: Project, made_of: dict[str, str]) -> list[StageState]:
+    """The state of every stage of a project."""
+    lines = []
+    for stage in STAGES:
+        stamp = project.stamp(stage.name)
+        if stamp is None:
+            lines.append(StageState(stage.name, "missing", None, {}, []))
+            continue
+        state = "fresh" if stamp["key"] == made_of[stage.name] else "stale"
+        seconds = stamp["timing"]["seconds"]
+        lines.append(StageState(stage.name, state, seconds, stamp["figures"], stamp["warnings"]))
+    return lines
+
+
+def run(
+    project: Project,
+    source: Path,
+    capture_digest: str,
+    chosen: dict[str, Any],
+    what: Plan,
+    progress: Progress,
+    tell: Callable[[StageState, bool], None],
+) -> None:
+    """
+    Brings the planned stages of a locked project up to date; `tell` hears of each one (and whether it ran now).
+
+    Raises InputError where the input cannot serve, where --only finds its inputs stale, and, after the last stage, where
+    the photos show no face: cameras and points are then in COLMAP's own scale.
+    """
+    made_of = keys(capture_digest, chosen)
+    before = {line.name: line for line in states(project, made_of)}
+    loaded: dict[str, Any] = {}
+
+    def load(name: str) -> Any:
+        if name not in loaded:
+            stage = STAGES[NAMES.index(name)]
+            loaded[name] = stage.makes.load(project.folder(name))  # type: ignore[attr-defined]
+        return loaded[name]
+
+    for stage in STAGES:
+        if stage.name not in what.selected:
+            continue
+        line = before[stage.name]
+        if line.state == "fresh" and stage.name not in what.forced and not what.only:
+            tell(line, False)
+            continue
+        if what.only:
+            stale = [name for name in stage.needs if before[name].state != "fresh"]
+            if stale:
+                states_ = ", ".join(f"{name} is {before[name].state}" for name in stale)
+                raise InputError(f"--only {stage.name} needs fresh inputs, but {states_}: run without --only")
+        line = _run_stage(project, stage, source, made_of[stage.name], chosen[stage.name], load, progress)
+        loaded.pop(stage.name, None)
+        tell(line, True)
+    if "points" in what.selected and not what.only and not load("capture").face:
+        raise InputError(
+            "no face was found in enough photos: the run ends after stage points, and cameras and points are in "
+            "COLMAP's own scale; for an avatar, photograph a face (see `avatarbuild check`)"
+        )
+
+
+def _run_stage(
+    project: Project,
+    stage: Stage,
+    source: Path,
+    key: str,
+    chosen: Any,
+    load: Callable[[str], Any],
+    progress: Progress,
+) -> StageState:
+    log.info("stage %s begins", stage.name)
+    started, clock = datetime.now(UTC), time.perf_counter()
+    function = importlib.import_module(f"avatarbuild.stages.{stage.name}").run
+    inputs = [load(name) for name in stage.needs] or [source]
+    artefact = function(*inputs, chosen, progress)
+    seconds = time.perf_counter() - clock
+    stamp = {
+        "stage": stage.name,
+        "key": key,
+        "versions": {"avatarbuild": __version__, "stage": stage.version},
+        "options": dataclasses.asdict(chosen),
+        "figures": artefact.figures,
+        "warnings": artefact.warnings,
+        "timing": {"started": started.isoformat(timespec="seconds"), "seconds": round(seconds, 2)},
+    }
+    project.save(stage.name, artefact, stamp)
+    log.info("stage %s: %s", stage.name, ", ".join(f"{name} {value}" for name, value in artefact.figures.items()))
+    for warning in artefact.warnings:
+        log.warning("stage %s: %s", stage.name, warning)
+    return StageState(stage.name, "fresh", seconds, artefact.figures, artefact.warnings)

@@ -1,0 +1,197 @@
+"""The project folder: where each stage's artefact lives, whether it is fresh, how it is saved whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import json
+import os
+import shutil
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import filelock
+
+from avatarbuild.errors import InputError
+
+_PARTIAL, _OLD = ".saving-", ".replaced-"
+_STAGE_ORDER = (
+    "capture",
+    "cameras",
+    "points",
+    "neutral",
+    "albedo",
+    "blendshapes",
+    "tracking",
+    "refinement",
+    "details",
+    "avatar",
+)
+STAMP_VERSION = 1
+
+
+def default_project(capture: Path) -> Path:
+    """CAPTURE.avatar beside CAPTURE."""
+    capture = Path(os.path.abspath(capture))
+    return capture.with_name(capture.name + ".avatar")
+
+
+def stage_folder_name(stage: str) -> str:
+    """'01-capture' … '09-details', and 'avatar' for the deliverables."""
+    return stage if stage == "avatar" else f"{_STAGE_ORDER.index(stage) + 1:02d}-{stage}"
+
+
+def digest_files(root: Path, files: list[Path]) -> str:
+    """SHA-256 over names (relative to root, POSIX) and bytes of files, in the order of their names."""
+    total = hashlib.sha256()
+    for name, path in sorted((path.relative_to(root).as_posix(), path) for path in files):
+        with path.open("rb") as f:
+            total.update(f"{name}\0{hashlib.file_digest(f, 'sha256').hexdigest()}\n".encode())
+    return total.hexdigest()
+
+
+@dataclass(frozen=True)
+class Project:
+    """One person's project folder."""
+
+    root: Path
+
+    @property
+    def log_file(self) -> Path:
+        return self.root / "avatarbuild.log"
+
+    def folder(self, stage: str) -> Path:
+        """Where a stage's artefact lives."""
+        return self.root / stage_folder_name(stage)
+
+    def stamp(self, stage: str) -> dict[str, Any] | None:
+        """What a finished stage left in its stamp.json; None where the stage has not been run."""
+        try:
+            return json.loads((self.folder(stage) / "stamp.json").read_text(encoding="utf-8"))
+        except (FileNotFoundError, NotADirectoryError, json.JSONDecodeError):
+            return None
+
+    @contextlib.contextmanager
+    def lock(self) -> Iterator[None]:
+        """
+        Keeps two runs out of one project; sweeps up what a killed run left.
+
+        Raises InputError where another run holds the project or the folder cannot be written.
+        """
+        try:
+            self.root.mkdir(parents=True, exist_ok=True)
+        except (FileExistsError, NotADirectoryError):
+            raise InputError(f"{self.root} is a file: name a folder for the project with -o") from None
+        except OSError as error:
+            raise InputError(f"the project folder {self.root} cannot be made: {error.strerror}") from None
+        held = filelock.FileLock(self.root / ".lock", timeout=0)
+        try:
+            held.acquire()
+        except filelock.Timeout:
+            raise InputError(f"another run is working in {self.root}: wait for it, or use another project") from None
+        except OSError as error:
+            raise InputError(f"the project folder {self.root} cannot be written: {error.strerror}") from None
+        try:
+            self._sweep()
+            yield
+        finally:
+            held.release()
+
+    def _sweep(self) -> None:
+        # A run killed between the two renames of `save` leaves the old artefact aside: it goes back.
+        for path in sorted(self.root.glob(f"{_OLD}*")):
+            place = self.root / path.name.removeprefix(_OLD)
+            if place.exists():
+                shutil.rmtree(path)
+            else:
+                path.rename(place)
+        for path in sorted(self.root.glob(f"{_PARTIAL}*")):
+            shutil.rmtree(path)
+
+    def save(self, stage: str, artefact: Any, stamp: dict[str, Any]) -> None:
+        """
+        Saves an artefact and its stamp: into a temporary folder first, then renamed into place.
+
+        Raises InputError where the disk is full or the folder cannot be written; what was there before stays.
+        """
+        place = self.folder(stage)
+        partial, old = self.root / (_PARTIAL + place.name), self.root / (_OLD + place.name)
+        try:
+            shutil.rmtree(partial, ignore_errors=True)
+            artefact.save(partial)
+            text = json.dumps({"version": STAMP_VERSION, **stamp}, indent=1, ensure_ascii=False, sort_keys=True)
+            (partial / "stamp.json").write_text(text + "\n", encoding="utf-8")
+            _flush(partial)
+            if place.exists():
+                place.rename(old)
+            partial.rename(place)
+            shutil.rmtree(old, ignore_errors=True)
+        except OSError as error:
+            shutil.rmtree(partial, ignore_errors=True)
+            if error.errno in (errno.ENOSPC, errno.EDQUOT):
+                raise InputError(f"the disk of {self.root} is full: free some space and run again") from None
+            raise InputError(f"stage {stage} cannot be saved in {self.root}: {error.strerror or error}") from None
+
+    def require_space(self, needed: int) -> None:
+        """Raises InputError where less than `needed` bytes are free on the project's disk."""
+        free = shutil.disk_usage(self.root).free
+        if free < needed:
+            message = f"{free / 1e9:.1f} GB are free for {self.root}, about {needed / 1e9:.1f} GB are needed"
+            raise InputError(f"{message}: free some space, or name another disk with -o")
+
+    def settings(self) -> dict[str, Any]:
+        """What project.toml says: capture (a path relative to the project), quality, options."""
+        try:
+            with (self.root / "project.toml").open("rb") as f:
+                return tomllib.load(f)
+        except FileNotFoundError:
+            return {}
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(f"{self.root / 'project.toml'} is not valid TOML ({error}): mend or delete it") from None
+
+    def write_settings(self, capture: Path, quality: str, options: dict[str, str]) -> None:
+        """Writes project.toml: the capture's path relative to the project, and the options that differ."""
+        try:
+            where = Path(os.path.relpath(capture, self.root)).as_posix()
+        except ValueError:  # another drive on Windows
+            where = Path(os.path.abspath(capture)).as_posix()
+        quote = lambda text: json.dumps(text, ensure_ascii=False)  # noqa: E731
+        lines = [f"capture = {quote(where)}", f"quality = {quote(quality)}", "", "[options]"]
+        lines += [f"{quote(key)} = {quote(value)}" for key, value in sorted(options.items())]
+        partial = self.root / f"{_PARTIAL}project.toml"
+        try:
+            partial.mkdir(exist_ok=True)
+            (partial / "project.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+            (partial / "project.toml").replace(self.root / "project.toml")
+            partial.rmdir()
+        except OSError as error:
+            raise InputError(f"the project folder {self.root} cannot be written: {error.strerror}") from None
+
+    def sizes(self) -> dict[str, int]:
+        """Bytes of every stage folder that exists."""
+        folders = [self.folder(stage) for stage in _STAGE_ORDER]
+        return {
+            folder.name: sum(p.stat().st_size for p in folder.rglob("*") if p.is_file())
+            for folder in folders
+            if folder.is_dir()
+        }
+
+    def remove(self, stage: str) -> None:
+        """Deletes a stage's artefact."""
+        shutil.rmtree(self.folder(stage), ignore_errors=True)
+
+
+def _flush(folder: Path) -> None:
+    # A rename may reach the disk before the bytes do: a power cut would leave a stamped, empty artefact.
+    if os.name != "posix":
+        return
+    for path in [*folder.rglob("*"), folder]:
+        handle = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

@@ -1,0 +1,1 @@
+"""Structure from motion: features, pairs, matches, and COLMAP's incremental mapper."""

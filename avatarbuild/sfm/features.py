@@ -1,0 +1,68 @@
+"""SIFT features of grey images, by COLMAP."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pycolmap
+
+
+@dataclass(frozen=True)
+class Features:
+    """
+    n features of one image.
+
+    points (n, 2) float32 pixels, centre of the first pixel at 0.5; scales (n,) pixels; descriptors (n, 128) uint8.
+    """
+
+    points: np.ndarray
+    scales: np.ndarray
+    descriptors: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def subset(self, index: np.ndarray) -> Features:
+        """The features that `index` (numbers or booleans) selects."""
+        return Features(self.points[index], self.scales[index], self.descriptors[index])
+
+
+def cores() -> int:
+    """Processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _extract(grey: np.ndarray, most: int) -> Features:
+    options = pycolmap.FeatureExtractionOptions()
+    options.use_gpu = False
+    options.num_threads = 1
+    options.sift.max_num_features = most
+    # Octave -1 (an upsampled image) costs three times as much; its fine features match badly in noisy photos.
+    options.sift.first_octave = 0
+    extractor = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
+    keypoints, descriptors = extractor.extract_from_uint8_array(np.ascontiguousarray(grey))
+    matrix = np.asarray(pycolmap.keypoints_to_matrix(keypoints), np.float32).reshape(-1, 4)
+    data = np.asarray(descriptors.data, np.uint8).reshape(-1, 128)
+    order = np.lexsort((matrix[:, 3], matrix[:, 0], matrix[:, 1], -matrix[:, 2]))[:most]
+    return Features(matrix[order, :2].copy(), matrix[order, 2].copy(), data[order])
+
+
+def extract(images: Iterator[np.ndarray], most: int) -> Iterator[Features]:
+    """
+    SIFT features [Lowe 2004] of grey uint8 images (h, w), largest scales first, at most `most` an image; images are
+    processed on all cores, the result does not depend on their number.
+    """
+    pycolmap.logging.minloglevel = 2
+    workers = cores()
+    with concurrent.futures.ThreadPoolExecutor(workers) as pool:
+        waiting: list[concurrent.futures.Future[Features]] = []
+        for image in images:
+            waiting.append(pool.submit(_extract, image, most))
+            if len(waiting) > workers:
+                yield waiting.pop(0).result()
+        for future in waiting:
+            yield future.result()

@@ -1,0 +1,6 @@
+"""Runs the program from a checkout: python cli.py run CAPTURE."""
+
+from avatarbuild.main import run_program
+
+if __name__ == "__main__":
+    run_program()
