@@ -8,23 +8,15 @@ import cv2
 import numpy as np
 from scipy.linalg import eigh
 
-from avatarbuild.landmarks import crop, mirror, region_about
+from avatarbuild.landmarks import crop, region_about
+from avatarbuild.portrait import BROW, CHEEK, EYE, LIPS, OVAL, twin
 
 _FINE, _COARSE = 1.0, 2.5  # pixels: standard deviations of the two Gaussians that edges are compared at
 _EDGES = 0.9  # only gradients above this quantile tell the blur; the rest is noise and smooth skin
 _LEAST_BLUR = 0.3  # pixels: what a sharp edge measures after a camera's demosaicing, about
 _PATCH = 192  # pixels: the upright face crop that colours are measured in
+_LOOKED = 1024  # pixels: the middle of a picture without a face, whose blur is measured
 _SATURATED = 250  # of 255, in any channel
-
-# rings of landmarks, the subject's right side where they have a side
-_OVAL = [
-    *(10, 338, 297, 332, 284, 251, 389, 356, 454, 323, 361, 288, 397, 365, 379, 378, 400, 377, 152, 148, 176, 149),
-    *(150, 136, 172, 58, 132, 93, 234, 127, 162, 21, 54, 103, 67, 109),
-]
-_EYE = [33, 246, 161, 160, 159, 158, 157, 173, 133, 155, 154, 153, 145, 144, 163, 7]
-_BROW = [70, 63, 105, 66, 107, 55, 65, 52, 53, 46]
-_LIPS = [61, 185, 40, 39, 37, 0, 267, 269, 270, 409, 291, 375, 321, 405, 314, 17, 84, 181, 91, 146]
-_CHEEK = [117, 118, 101, 36, 205, 187, 123]
 
 
 class Measures(NamedTuple):
@@ -52,15 +44,16 @@ def measure(rgb: np.ndarray, points: np.ndarray | None) -> Measures:
         small = cv2.resize(rgb, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         skin = np.ones(small.shape[:2], bool)
         side = np.nan
-        blur = blur_radius(rgb)
+        y, x = (max(0, (n - _LOOKED) // 2) for n in rgb.shape[:2])
+        blur = blur_radius(rgb[y : y + _LOOKED, x : x + _LOOKED])
     else:
         small, to_picture = crop(rgb, region_about(points), _PATCH)
         local = np.linalg.solve(to_picture[:, :2], (points[:, :2] - to_picture[:, 2]).T).T
-        skin = _filled(local, [_OVAL]) & ~_filled(local, [_EYE, _twin(_EYE), _BROW, _twin(_BROW), _LIPS], grow=4)
+        skin = _filled(local, [OVAL]) & ~_filled(local, [EYE, twin(EYE), BROW, twin(BROW), LIPS], grow=4)
         if not skin.any():
             skin = np.ones(small.shape[:2], bool)
         luminance = linear(small) @ LUMINANCE
-        right, left = (luminance[_filled(local, [ring])] for ring in (_CHEEK, _twin(_CHEEK)))
+        right, left = (luminance[_filled(local, [ring])] for ring in (CHEEK, twin(CHEEK)))
         side = float(np.log2(np.median(left) / np.median(right))) if min(left.size, right.size) > 20 else np.nan
         low = np.maximum(points[:468, :2].min(0), 0).astype(int)
         high = points[:468, :2].max(0).astype(int)
@@ -128,7 +121,3 @@ def _filled(local: np.ndarray, rings: list[list[int]], grow: int = 0) -> np.ndar
     for ring in rings:
         cv2.fillPoly(mask, [np.round(local[ring] - 0.5).astype(np.int32)], (1,))
     return cv2.dilate(mask, np.ones((1 + grow, 1 + grow), np.uint8)).astype(bool)
-
-
-def _twin(ring: list[int]) -> list[int]:
-    return [int(i) for i in mirror()[ring]]

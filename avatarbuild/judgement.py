@@ -10,6 +10,7 @@ import numpy as np
 
 from avatarbuild.artefacts import Views
 from avatarbuild.capture_folder import CaptureFolder
+from avatarbuild.portrait import handedness, likeness
 from avatarbuild.survey import Survey
 from avatarbuild.template import ARKIT_NAMES
 
@@ -22,8 +23,14 @@ _FACE_PHOTOS, _FACE_SHARE = 8, 0.25
 _BIN = 15.0  # degrees of yaw that need a photo each
 _STEEP = 10.0  # degrees above or below the middle at which a photo is one from above or below
 _ALIKE = 12.0  # degrees between photos that see the face alike, whose light is compared
-_EYES_SHUT = 0.5
-_CHANGED = 0.35  # a score this far from the photos' median is another expression
+_ACTIVE = 0.5  # a score from which an expression is plainly there
+_CHANGED = 0.5  # a score this far from the photos' median is another expression
+
+_ANOTHER = 0.8  # unlikeness from which a face seems to be another person's
+_MIRRORED, _MIRRORED_LIKE = (
+    0.3,
+    0.6,
+)  # asymmetries that disagree by as much, in portraits that agree when one is flipped
 
 # The score network's outputs that no arrangement of the points raises; it has no tongueOut at all.
 SILENT = (
@@ -37,7 +44,14 @@ SILENT = (
 )
 _SPEAKING = np.array([name not in SILENT for name in ARKIT_NAMES])
 _BLINK = [ARKIT_NAMES.index("eyeBlinkLeft"), ARKIT_NAMES.index("eyeBlinkRight")]
-_GAZE = np.array([name.startswith("eyeLook") for name in ARKIT_NAMES])
+# scores that a turn of the head hardly moves
+_STEADY = np.array(
+    [
+        name.startswith(("eyeBlink", "jaw", "mouth", "browDown"))
+        and not name.startswith(("mouthShrug", "mouthRoll", "mouthPress", "mouthClose", "mouthDimple"))
+        for name in ARKIT_NAMES
+    ]
+)
 
 
 @dataclass(frozen=True)
@@ -61,7 +75,8 @@ def neutral(views: Views, trusted: np.ndarray) -> np.ndarray:
     """
     (k,) bool: photos whose expression is the common one, with open eyes.
 
-    No score but the gaze's may lie further than 0.35 from the median of trusted photos, nor a blink reach 0.5.
+    No score that stays put under turns of the head may lie further than 0.5 from the median of trusted photos, nor
+    may both blinks exceed 0.5.
     """
     if not trusted.any():
         return np.zeros(len(views), bool)
@@ -69,9 +84,9 @@ def neutral(views: Views, trusted: np.ndarray) -> np.ndarray:
 
 
 def judge(
-    photos: Survey, frames: Survey | None, folder: CaptureFolder, presence: float, max_yaw: float
+    photos: Survey, frames: Survey | None, seconds: float, folder: CaptureFolder, presence: float, max_yaw: float
 ) -> list[Finding]:
-    """All findings, photos first."""
+    """All findings, photos first; `frames` are samples of a video of `seconds`."""
     trusted = photos.views.trusted(presence, max_yaw)
     findings = [_count(photos), _face(photos, trusted, presence, max_yaw)]
     if has_face(photos, presence, max_yaw):
@@ -86,9 +101,12 @@ def judge(
             _expression(photos, trusted),
             _eyes(photos, trusted),
         ]
-    findings += [_others(photos, "photos"), _lens(photos), _copies(folder)]
-    findings += _video(frames, presence)
-    return findings
+    findings += [_others(photos, "photos"), _same_person(photos), _lens(photos), _copies(folder)]
+    if frames is None:
+        advice = "film 20 to 60 s of expressions from the front; without it the avatar has generic expressions"
+        return [*findings, _finding("video", "none with a face", USABLE, advice, seconds=0.0)]
+    findings += [_video(frames, seconds, presence), _others(frames, "video")]
+    return findings + _same_video(photos, frames) + _shown(frames, presence)
 
 
 def _count(photos: Survey) -> Finding:
@@ -209,7 +227,7 @@ def _expression(photos: Survey, trusted: np.ndarray) -> Finding:
     views = photos.views
     changed = trusted & (_change(views, trusted) > _CHANGED)
     common = np.median(views.scores[trusted], axis=0)
-    active = [n for n, v in zip(ARKIT_NAMES, common) if v > 0.5 and n.startswith(("jaw", "mouth", "tongue"))]
+    active = [n for n, v, steady in zip(ARKIT_NAMES, common, _STEADY) if steady and v > _ACTIVE]
     share = changed.sum() / trusted.sum()
     verdict = RESHOOT if share > 0.5 else USABLE if share > 0.15 or active else GOOD
     found = "the same in all photos" if not changed.any() else "changes" + _named(views, changed, " in ")
@@ -255,30 +273,74 @@ def _copies(folder: CaptureFolder) -> Finding:
     return _finding("copies", found, GOOD, "", left_out=[[f.as_posix(), why] for f, why in out])
 
 
-def _video(frames: Survey | None, presence: float) -> list[Finding]:
-    if frames is None:
-        advice = "film 20 to 60 s of expressions from the front; without it the avatar has generic expressions"
-        return [_finding("video", "none with a face", USABLE, advice, seconds=0.0)]
-    views = frames.views
-    seconds = float(views.time[-1] - views.time[0])
+def _same_person(photos: Survey) -> Finding:
+    """By the frontal photos; the others cannot be compared."""
     with np.errstate(invalid="ignore"):
-        seen = float((views.presence >= presence).mean())
+        other = photos.unlike > _ANOTHER
+    compared = int(np.isfinite(photos.unlike).sum())
+    share = other.sum() / max(compared, 1)
+    found = f"the frontal photos ({compared}) are alike" + _named(photos.views, other, ", but not ")
+    verdict = GOOD if not other.any() else USABLE if share <= 0.3 else RESHOOT
+    advice = "make sure that all photos show one person, with the same hair, glasses and make-up"
+    return _finding("person", found, verdict, advice, unlike=_names(photos.views, other))
+
+
+def _video(frames: Survey, seconds: float, presence: float) -> Finding:
+    with np.errstate(invalid="ignore"):
+        seen = float((frames.views.presence >= presence).mean())
     verdict = GOOD if seconds >= 20 and seen >= 0.9 else USABLE if seconds >= 5 and seen >= 0.5 else RESHOOT
-    found = f"{seconds:.0f} s, the face in {100 * seen:.0f} % of frames"
+    if seconds > 90:
+        verdict = USABLE
+    file = frames.views.files[0]
+    found = f"{file}: {seconds:.0f} s, the face in {100 * seen:.0f} % of frames"
     advice = "film 20 to 60 s of expressions from the front, the face always in view"
-    return [_finding("video", found, verdict, advice, seconds=seconds, face_share=seen), _others(frames, "video")]
+    return _finding("video", found, verdict, advice, file=file, seconds=seconds, face_share=seen)
+
+
+def _same_video(photos: Survey, frames: Survey) -> list[Finding]:
+    """Whether photos and video seem to show one person, the same way round."""
+    if photos.identity is None or frames.identity is None:
+        return []
+    a, b = photos.identity.portrait, frames.identity.portrait
+    hand = handedness(a, b)
+    mirrored = hand < -_MIRRORED and likeness(a, b[:, ::-1]) > max(_MIRRORED_LIKE, likeness(a, b))
+    unlike = float(np.nanmedian(frames.unlike))
+    other = unlike > _ANOTHER and not mirrored
+    found = "seems to be another person than in the photos" if other else "seems to be the person in the photos"
+    advice = "make sure that photos and video show one person, with the same hair, glasses and make-up"
+    person = _finding("person in video", found, RESHOOT if other else GOOD, advice, unlikeness=unlike)
+    found = "the video seems to be a mirror image of the photos" if mirrored else "no"
+    advice = "switch off mirroring of the front camera in the phone's settings, or use the back camera"
+    return [person, _finding("mirrored", found, RESHOOT if mirrored else GOOD, advice, handedness=hand)]
+
+
+def _shown(frames: Survey, presence: float) -> list[Finding]:
+    """An expression counts as shown when the odds of its score once rise tenfold over the video's median."""
+    with np.errstate(invalid="ignore"):
+        seen = frames.views.presence >= presence
+    if seen.sum() < 2:
+        return []
+    scores = np.clip(frames.views.scores[seen][:, _SPEAKING], 1e-6, 1 - 1e-6)
+    odds = np.log(scores / (1 - scores))
+    rise = odds.max(0) - np.median(odds, axis=0)
+    names = np.array(ARKIT_NAMES)[_SPEAKING]
+    never = [str(name) for name in names[rise < np.log(10.0)]]
+    verdict = GOOD if len(never) <= 8 else USABLE if len(never) <= 24 else RESHOOT
+    found = f"{len(names) - len(never)} of {len(names)} shown" + (f"; never: {_short(never, 12)}" if never else "")
+    advice = "film these too, slowly and one by one; the avatar has generic shapes for what is never shown"
+    return [_finding("expressions", found, verdict, advice, never=never, cannot_be_judged=list(SILENT))]
 
 
 def _change(views: Views, trusted: np.ndarray) -> np.ndarray:
-    """(k,) the largest distance of a score, but the gaze's, from the trusted photos' median."""
-    scores = views.scores[:, _SPEAKING & ~_GAZE]
+    """(k,) the largest distance of a steady score from the trusted photos' median."""
+    scores = views.scores[:, _SPEAKING & _STEADY]
     change = np.abs(scores - np.median(scores[trusted], axis=0)).max(1)
     return np.where(np.isfinite(change), change, np.inf)
 
 
 def _shut(views: Views) -> np.ndarray:
     with np.errstate(invalid="ignore"):
-        return np.asarray((views.scores[:, _BLINK] > _EYES_SHUT).all(1))
+        return np.asarray((views.scores[:, _BLINK] > _ACTIVE).all(1))
 
 
 def _drift(views: Views, trusted: np.ndarray, value: np.ndarray) -> float:

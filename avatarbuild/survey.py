@@ -15,7 +15,7 @@ from avatarbuild import faces
 from avatarbuild.artefacts import StoredImage, Views
 from avatarbuild.capture_folder import CaptureFolder, natural
 from avatarbuild.errors import InputError
-from avatarbuild.faces import Look, look
+from avatarbuild.faces import Identity, Look, look
 from avatarbuild.formats import images, video
 from avatarbuild.progress import Task
 from avatarbuild.template import ARKIT_NAMES
@@ -49,7 +49,8 @@ class Survey:
     resolution  (k,) pixels a millimetre on the face, in the file's own size
     side_light, contrast  (k,) as focus.Measures
     others      (k,) further faces of comparable size
-    shape       (k, r, 3) mm: rigid points in head axes;  misfit (k,) mm
+    identity    what the subject's frontal faces have in common, None without any
+    unlike      (k,) how unlike the photos' subject the face is: above 1 it seems another's; NaN where not frontal
     assumed     (k,) bool: the focal length is an assumption
     """
 
@@ -59,7 +60,8 @@ class Survey:
     side_light: np.ndarray
     contrast: np.ndarray
     others: np.ndarray
-    shape: np.ndarray
+    identity: Identity | None
+    unlike: np.ndarray
     assumed: np.ndarray
 
 
@@ -104,6 +106,8 @@ def survey_photos(shots: list[Shot], presence: float, settings: dict[str, Any]) 
     """The photos' views, with the subject followed; `settings` are capture.toml's."""
     looks = [shot.look for shot in shots]
     chosen = faces.follow(looks, presence, continuous=False)
+    person = faces.identity(looks, chosen, presence)
+    chosen = faces.follow(looks, presence, continuous=False, known=person)
     lenses: dict[str, int] = {}
     lens = np.array([lenses.setdefault(shot.photo.lens, len(lenses)) for shot in shots], np.int64)
     focal = np.array([shot.focal for shot in shots])
@@ -120,6 +124,7 @@ def survey_photos(shots: list[Shot], presence: float, settings: dict[str, Any]) 
         copies=[StoredImage(shot.copy) for shot in shots],
         looks=looks,
         chosen=chosen,
+        known=faces.identity(looks, chosen, presence),
         original=np.array([shot.photo.size[0] / shot.size[0] for shot in shots]),
         focal=focal,
         lens=lens,
@@ -135,6 +140,7 @@ def survey_frames(
     times: np.ndarray,
     looks: list[Look],
     copies: list[bytes],
+    known: Identity | None,
     focal: float,
     presence: float,
 ) -> Survey:
@@ -145,7 +151,8 @@ def survey_frames(
         files=[file.as_posix()] * k,
         copies=[StoredImage(copy) for copy in copies],
         looks=looks,
-        chosen=faces.follow(looks, presence, continuous=True),
+        chosen=faces.follow(looks, presence, continuous=True, known=known),
+        known=known,
         original=np.ones(k),
         focal=np.full(k, focal),
         lens=np.zeros(k, np.int64),
@@ -165,13 +172,20 @@ def choose_video(folder: CaptureFolder, presence: float) -> tuple[video.VideoFil
             warnings.append(f"left out: {e}")
     sound.sort(key=lambda v: (-v.duration, natural(v.path)))
     for v in sound:
-        wanted = {int(i) for i in np.linspace(0, v.frames - 1, 9)[1:-1]}
-        found = [look(rgb, presence, careful=False).faces for _, _, rgb in video.decode_frames(v.path, wanted)]
+        found = [look(rgb, presence, careful=False).faces for _, _, rgb in video.decode_frames(v.path, _tried(v))]
         sure = sum(bool(f) and f[0].face.presence >= presence for f in found)
         if 2 * sure >= max(len(found), 1):
             return v, warnings
         warnings.append(f"the video {v.path.name} shows a face in {sure} of {len(found)} frames tried; it is not used")
     return None, warnings
+
+
+def _tried(v: video.VideoFile) -> list[int]:
+    """Up to 7 frames all over a video: keyframes where there are enough, which decode fastest."""
+    keys = video.keyframes(v.path)
+    if len(keys) < 5:
+        return [int(i) for i in np.linspace(0, v.frames - 1, 5)[1:-1]]
+    return sorted({int(i) for i in keys[np.linspace(0, len(keys) - 1, 7).round().astype(int)]})
 
 
 def in_order(function: Callable[[T], R], items: Iterable[T], ahead: int = 4) -> Iterator[R]:
@@ -193,6 +207,7 @@ def _survey(
     copies: list[StoredImage],
     looks: list[Look],
     chosen: list[int],
+    known: Identity | None,
     original: np.ndarray,
     focal: np.ndarray,
     lens: np.ndarray,
@@ -201,10 +216,10 @@ def _survey(
     assumed: np.ndarray,
 ) -> Survey:
     subject = [look.faces[i] if i >= 0 else None for look, i in zip(looks, chosen)]
-    measures = [look.measures if s is None else s.measures for look, s in zip(looks, subject)]
+    # a face that is nobody's of interest still lends its light to the picture
+    measures = [look.measures or (s or look.faces[0]).measures for look, s in zip(looks, subject)]
     blur = np.array([m.blur for m in measures])
     resolution = np.array([np.nan if s is None else s.resolution for s in subject])
-    rigid = faces.rigid_points()
     k = len(names)
 
     def of_face(value: Callable[[Any], Any], *shape: int) -> np.ndarray:
@@ -235,7 +250,8 @@ def _survey(
         side_light=np.array([m.side_light for m in measures]),
         contrast=np.array([m.contrast for m in measures]),
         others=np.array([faces.others(look, i, presence) for look, i in zip(looks, chosen)], int),
-        shape=of_face(lambda s: s.shape, len(rigid), 3),
+        identity=faces.identity(looks, chosen, presence),
+        unlike=of_face(lambda s: np.nan if known is None else faces.unlikeness(s, known)),
         assumed=assumed,
     )
 

@@ -56,13 +56,14 @@ def run(source: Path, options: CaptureOptions, progress: Progress) -> Capture:
     warnings += more
     trusted = photos.views.trusted(options.presence, options.max_yaw)
     face = judgement.has_face(photos, options.presence, options.max_yaw)
-    findings = judgement.judge(photos, frames, folder, options.presence, options.max_yaw)
+    seconds = 0.0 if clip is None else float(clip.times[-1])
+    findings = judgement.judge(photos, frames, seconds, folder, options.presence, options.max_yaw)
     warnings += [f"{f.name}: {f.found}; {f.advice}" for f in findings if f.verdict != "good"]
     capture = Capture(
         photos=photos.views,
         clip=clip,
         frontal=_frontal(folder, photos, trusted) if face else -1,
-        neutral=judgement.neutral(photos.views, trusted),
+        neutral=judgement.neutral(photos.views, trusted & face),
         face=face,
         settings=_settings(folder, photos, [shot.photo.size for shot in shots]),
         figures=_figures(photos, clip, trusted),
@@ -96,7 +97,7 @@ def _clip(
     with progress.task("video", len(times)) as task:
         indices, looks, copies = _frames(chosen, times, options, task)
     file = chosen.path.relative_to(folder.root)
-    frames = survey_frames(file, indices, times[indices], looks, copies, focal, options.presence)
+    frames = survey_frames(file, indices, times[indices], looks, copies, photos.identity, focal, options.presence)
     clip = Clip(file.as_posix(), chosen.size, chosen.fps, times, focal, np.array(indices), frames.views)
     return clip, frames, warnings
 
