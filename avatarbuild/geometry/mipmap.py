@@ -13,8 +13,6 @@ import numpy as np
 
 from avatarbuild.geometry.raster import Raster
 
-_MOST_TAPS = 8  # samples along the longer axis of a footprint
-
 
 class Mipmap(NamedTuple):
     """A texture and its ever coarser means, in one array: level k is texels[starts[k]:starts[k + 1]], row by row.
@@ -53,6 +51,7 @@ def sample_texture(
     *,
     repeat: bool = False,
     bias: float = 0.0,
+    taps: int = 8,
 ) -> np.ndarray:
     """The texture seen by each pixel, (h, w, c) float32, zero where the raster is empty.
 
@@ -62,12 +61,15 @@ def sample_texture(
 
     d(u, v)/d(x, y) = sum_i grad l_i (z / z_i) ((u, v)_i - (u, v)),    l the barycentric coordinates in the image;
 
-    its shorter axis chooses the level (trilinear), along its longer axis up to 8 samples are averaged.
+    its shorter axis chooses the level (trilinear), along its longer axis up to `taps` samples are averaged.
     """
     h, w = raster.triangle.shape
     out = np.empty((h, w, texture.texels.shape[1]), np.float32)
     _sample(
-        *texture,
+        texture.texels.reshape(-1),
+        texture.texels.shape[1],
+        texture.starts,
+        texture.shapes,
         *raster,
         np.ascontiguousarray(np.nan_to_num(pixels), np.float64),
         np.ascontiguousarray(depth, np.float64),
@@ -75,7 +77,8 @@ def sample_texture(
         np.ascontiguousarray(uv, np.float64),
         np.ascontiguousarray(uv_triangles, np.int32),
         repeat,
-        bias,
+        float(bias),
+        taps,
         out,
     )
     return out
@@ -86,25 +89,38 @@ def _texel(i: int, n: int, repeat: bool) -> int:
     return i % n if repeat else min(max(i, 0), n - 1)
 
 
-@numba.njit(cache=True)
-def _bilinear(
-    packed: np.ndarray, start: int, th: int, tw: int, u: float, v: float, repeat: bool, weight: float, out: np.ndarray
+@numba.njit(cache=True, inline="always")
+def _add_bilinear(
+    texels: np.ndarray,
+    channels: int,
+    start: int,
+    th: int,
+    tw: int,
+    u: float,
+    v: float,
+    repeat: bool,
+    weight: float,
+    total: np.ndarray,
 ) -> None:
-    """out += weight * texture(u, v)."""
+    """total += weight * texture(u, v), texels flat."""
     x, y = u * tw - 0.5, (1.0 - v) * th - 0.5
     j, i = int(np.floor(x)), int(np.floor(y))
-    fx, fy = x - j, y - i
+    fx, fy = np.float32(x - j), np.float32(y - i)
+    one, share = np.float32(1), np.float32(weight)
     j0, j1 = _texel(j, tw, repeat), _texel(j + 1, tw, repeat)
-    i0, i1 = _texel(i, th, repeat), _texel(i + 1, th, repeat)
-    for c in range(packed.shape[1]):
-        top = packed[start + i0 * tw + j0, c] * (1 - fx) + packed[start + i0 * tw + j1, c] * fx
-        low = packed[start + i1 * tw + j0, c] * (1 - fx) + packed[start + i1 * tw + j1, c] * fx
-        out[c] += weight * (top * (1 - fy) + low * fy)
+    i0, i1 = start + _texel(i, th, repeat) * tw, start + _texel(i + 1, th, repeat) * tw
+    a, b = np.uint64((i0 + j0) * channels), np.uint64((i0 + j1) * channels)
+    c, d = np.uint64((i1 + j0) * channels), np.uint64((i1 + j1) * channels)
+    wa, wb = share * (one - fx) * (one - fy), share * fx * (one - fy)
+    wc, wd = share * (one - fx) * fy, share * fx * fy
+    for k in range(np.uint64(channels)):
+        total[k] += wa * texels[a + k] + wb * texels[b + k] + wc * texels[c + k] + wd * texels[d + k]
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, parallel=True, error_model="numpy")
 def _sample(
-    packed: np.ndarray,
+    texels: np.ndarray,
+    channels: int,
     starts: np.ndarray,
     shapes: np.ndarray,
     triangle: np.ndarray,
@@ -117,19 +133,21 @@ def _sample(
     uv_faces: np.ndarray,
     repeat: bool,
     bias: float,
+    most: int,
     out: np.ndarray,
 ) -> None:
     h, w = triangle.shape
     top_level = len(shapes) - 1
     th, tw = shapes[0]
     for row in numba.prange(h):
-        total = np.zeros(packed.shape[1], np.float64)
+        total = np.zeros(channels, np.float32)
         previous = -1
-        a, b, c, p, q, r, g1x, g1y, g2x, g2y = 0, 0, 0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0
+        a, b, c, p, q, r = 0, 0, 0, 0, 0, 0
+        g1x, g1y, g2x, g2y = 0.0, 0.0, 0.0, 0.0
         for column in range(w):
             f = triangle[row, column]
             if f < 0:
-                for k in range(packed.shape[1]):
+                for k in range(channels):
                     out[row, column, k] = 0
                 continue
             if f != previous:
@@ -141,7 +159,7 @@ def _sample(
                 area = ex * hy - ey * hx
                 area = area if abs(area) > 1e-9 else 1e-9
                 g1x, g1y, g2x, g2y = hy / area, -hx / area, -ey / area, ex / area
-            b0, b1, b2 = barycentric[row, column]
+            b0, b1, b2 = barycentric[row, column, 0], barycentric[row, column, 1], barycentric[row, column, 2]
             z = depth[row, column]
             u = b0 * uv[p, 0] + b1 * uv[q, 0] + b2 * uv[r, 0]
             v = b0 * uv[p, 1] + b1 * uv[q, 1] + b2 * uv[r, 1]
@@ -152,26 +170,27 @@ def _sample(
             uy = (du1 - du0) * g1y + (du2 - du0) * g2y
             vx = (dv1 - dv0) * g1x + (dv2 - dv0) * g2x
             vy = (dv1 - dv0) * g1y + (dv2 - dv0) * g2y
-            length_x, length_y = np.hypot(ux, vx), np.hypot(uy, vy)
-            if length_x >= length_y:
-                major, mu, mv = length_x, ux, vx
+            square_x, square_y = ux * ux + vx * vx, uy * uy + vy * vy
+            if square_x >= square_y:
+                major, mu, mv = np.sqrt(square_x), ux, vx
             else:
-                major, mu, mv = length_y, uy, vy
+                major, mu, mv = np.sqrt(square_y), uy, vy
             minor = abs(ux * vy - uy * vx) / max(major, 1e-9)
-            taps = int(min(max(np.ceil(major / max(minor, 1e-3)), 1.0), _MOST_TAPS))
+            taps = int(min(max(np.round(major / max(minor, 1e-3)), 1.0), most))
             width = max(minor, major / taps)
             level = min(max(np.log2(max(width, 1e-6)) + bias, 0.0), float(top_level))
             fine = int(level)
             coarse = min(fine + 1, top_level)
             share = level - fine
-            total[:] = 0
+            for k in range(channels):
+                total[k] = 0
             for tap in range(taps):
                 s = (tap + 0.5) / taps - 0.5
                 us, vs = u + s * mu / tw, v + s * mv / th
-                _bilinear(packed, starts[fine], shapes[fine, 0], shapes[fine, 1], us, vs, repeat, 1 - share, total)
+                n, m = shapes[fine, 0], shapes[fine, 1]
+                _add_bilinear(texels, channels, starts[fine], n, m, us, vs, repeat, (1 - share) / taps, total)
                 if share > 0:
-                    _bilinear(
-                        packed, starts[coarse], shapes[coarse, 0], shapes[coarse, 1], us, vs, repeat, share, total
-                    )
-            for k in range(packed.shape[1]):
-                out[row, column, k] = total[k] / taps
+                    n, m = shapes[coarse, 0], shapes[coarse, 1]
+                    _add_bilinear(texels, channels, starts[coarse], n, m, us, vs, repeat, share / taps, total)
+            for k in range(channels):
+                out[row, column, k] = total[k]

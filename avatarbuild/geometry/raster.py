@@ -102,8 +102,22 @@ def interpolate(
 def box_average(image: np.ndarray, factor: int) -> np.ndarray:
     """(h / factor, w / factor, …) means of factor x factor pixels: brings a drawing of `factor` times the size back."""
     h, w = image.shape[0] // factor, image.shape[1] // factor
-    blocks = image[: h * factor, : w * factor].reshape(h, factor, w, factor, *image.shape[2:])
-    return blocks.mean(axis=(1, 3), dtype=image.dtype)
+    flat = np.ascontiguousarray(image).reshape(*image.shape[:2], -1)
+    out = np.empty((h, w, flat.shape[2]), image.dtype)
+    _box_average(flat, factor, out)
+    return out.reshape(h, w, *image.shape[2:])
+
+
+@numba.njit(cache=True, parallel=True)
+def _box_average(image: np.ndarray, factor: int, out: np.ndarray) -> None:
+    for row in numba.prange(out.shape[0]):
+        for column in range(out.shape[1]):
+            for c in range(out.shape[2]):
+                total = 0.0
+                for i in range(factor):
+                    for j in range(factor):
+                        total += image[row * factor + i, column * factor + j, c]
+                out[row, column, c] = total / (factor * factor)
 
 
 @numba.njit(cache=True)

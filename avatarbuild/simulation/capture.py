@@ -193,7 +193,7 @@ def _exposure(studio: Studio, light: Light) -> float:
     alone = draw(camera, [], [head], light, 1).mean(axis=-1)
     whole = draw(camera, [surroundings(studio, light)], [head], light, 1).mean(axis=-1)
     skin = float(np.quantile(alone[alone > 0], 0.85))
-    return float(np.exp(0.6 * np.log(0.5 / skin) + 0.4 * np.log(0.3 / np.median(whole))))
+    return float(np.exp(0.45 * np.log(0.42 / skin) + 0.55 * np.log(0.3 / np.median(whole))))
 
 
 def _drifting(rng: np.random.Generator, count: int) -> np.ndarray:

@@ -80,7 +80,7 @@ def softened(template: Template, values: np.ndarray, rounds: int) -> np.ndarray:
 def filled(image: np.ndarray, known: np.ndarray) -> np.ndarray:
     """The image (t, t, c) continued beyond `known` (t, t) bool by means of ever coarser neighbourhoods."""
     weight = known.astype(np.float32)
-    levels = [(image * weight[..., None], weight)]
+    levels: list[tuple[np.ndarray, np.ndarray]] = [(image * weight[..., None], weight)]
     while min(levels[-1][1].shape) > 1:
         colour, w = levels[-1]
         size = (max(w.shape[1] // 2, 1), max(w.shape[0] // 2, 1))

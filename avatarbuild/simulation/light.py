@@ -16,7 +16,8 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 @dataclass(frozen=True)
 class Light:
     """
-    L(d) = sum_k colour_k exp(sharpness_k (d . direction_k - 1)): directions (k, 3) unit, sharpness (k,), colours (k, 3);
+    L(d) = sum_k colour_k exp(sharpness_k (d . direction_k - 1)): directions (k, 3) unit, sharpness (k,),
+    colours (k, 3);
     harmonics (9, 3): y above.
     """
 

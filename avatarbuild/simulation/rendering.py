@@ -16,6 +16,7 @@ from avatarbuild.simulation.light import Light
 
 _STRIP = 384  # rows of the supersampled picture that are shaded at a time
 _NEAR = 40.0  # mm
+_TAPS = 2  # supersampling has taken its share of the anisotropy
 _SKIN_FRESNEL = 0.028
 
 
@@ -113,7 +114,7 @@ def draw(camera: Camera, still: list[Lit], heads: list[Skin], light: Light, supe
             view = Raster(own, raster.barycentric, raster.depth)
             p, z = moved[first[k] : first[k + 1]], depth[first[k] : first[k + 1]]
             if isinstance(mesh, Lit):
-                albedo = sample_texture(mesh.albedo, view, p, z, mesh.triangles, mesh.uv, mesh.uv_triangles)
+                albedo = sample_texture(mesh.albedo, view, p, z, mesh.triangles, mesh.uv, mesh.uv_triangles, taps=_TAPS)
                 _shade_lit(own, raster.barycentric, mesh.triangles, mesh.light.astype(np.float32), albedo, picture)
             else:
                 _draw_skin(mesh, view, p, z, camera.centre, light, picture)
@@ -127,10 +128,10 @@ def _draw_skin(
     if not (view.triangle >= 0).any():
         return
     uv = (mesh.triangles, mesh.uv, mesh.uv_triangles)
-    surface = sample_texture(mesh.surface, view, pixels, depth, *uv, bias=-0.5)
+    surface = sample_texture(mesh.surface, view, pixels, depth, *uv, bias=-0.5, taps=_TAPS)
     detail = np.zeros((1, 1, 3), np.float32)
     if mesh.detail is not None:
-        detail = sample_texture(mesh.detail, view, pixels, depth, *uv)
+        detail = sample_texture(mesh.detail, view, pixels, depth, *uv, taps=_TAPS)
     columns = np.concatenate(
         [mesh.vertices - eye, mesh.normals, mesh.tangents, mesh.bent, mesh.open[:, None]], axis=1
     ).astype(np.float32)
@@ -213,7 +214,7 @@ def _shade_skin(
             gloss = surface[row, column, 3]
             facing = max(mx * vx + my * vy + mz * vz, 0.0)
             rx, ry, rz = 2 * facing * mx - vx, 2 * facing * my - vy, 2 * facing * mz - vz
-            fresnel = 0.028 + 0.5 * (1.0 - facing) ** 5
+            fresnel = 0.028 + 0.22 * (1.0 - facing) ** 5
             for c in range(3):
                 s = harmonics[0, c] + harmonics[1, c] * lx + harmonics[2, c] * ly + harmonics[3, c] * lz
                 s += harmonics[4, c] * lx * ly + harmonics[5, c] * lx * lz + harmonics[6, c] * ly * lz
@@ -224,8 +225,12 @@ def _shade_skin(
                 mirror = 0.0
                 for k in range(len(sharpness)):
                     towards = rx * directions[k, 0] + ry * directions[k, 1] + rz * directions[k, 2]
-                    # Skin's gloss is wide (about 24), a wet eye's narrow: the lobe is the light's widened by it.
-                    narrow = 14.0 if gloss < 1.5 else 900.0
-                    wide = sharpness[k] * narrow / (sharpness[k] + narrow)
-                    mirror += colours[k, c] * (wide / sharpness[k]) * np.exp(wide * (towards - 1.0))
+                    if gloss < 1.5:
+                        # Skin's gloss is wide (14): the lobe is the light's, widened by it.
+                        wide = sharpness[k] * 14.0 / (sharpness[k] + 14.0)
+                        mirror += colours[k, c] * (wide / sharpness[k]) * np.exp(wide * (towards - 1.0))
+                    else:
+                        # A wet eye mirrors the lamps themselves, which are smaller and brighter than their lobes.
+                        small = 4.0 if sharpness[k] > 3.0 else 1.0
+                        mirror += colours[k, c] * small * np.exp(small * sharpness[k] * (towards - 1.0))
                 out[row, column, c] = matt + gloss * fresnel * mirror * open_ * shade

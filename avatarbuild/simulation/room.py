@@ -179,7 +179,7 @@ def furnished_room(rng: np.random.Generator, texel: float, collar: np.ndarray | 
             build.rectangle(low_left - inward * 240, inward * 240, up_side, plank)
             build.rectangle(low_left + across * wide, -inward * 240, up_side, plank)
             build.rectangle(low_left + up_side, across * wide, -inward * 240, plank[: max(len(plank) // 2, 4)])
-        for _ in range(int(rng.integers(3, 5))):
+        for _ in range(0 if name == side else int(rng.integers(3, 5))):
             wide, tall = rng.uniform(260, 620), rng.uniform(260, 620)
             at = (
                 corner
@@ -211,9 +211,9 @@ def _add_shirt(build: _Builder, collar: np.ndarray, picture: np.ndarray) -> None
             [16, reach[0] + 9, reach[2] + 9, 0, 2.0],
             [0, reach[0] + 14, reach[2] + 13, 0, 2.0],
             [-22, reach[0] + 34, reach[2] + 22, -2, 2.0],
-            [-48, 128, 92, -6, 2.1],
-            [-80, 180, 108, -10, 2.3],
-            [-125, 214, 122, -10, 2.5],
+            [-48, 132, 100, -8, 2.1],
+            [-80, 182, 120, -12, 2.3],
+            [-125, 214, 134, -12, 2.5],
             [-200, 226, 132, -6, 2.6],
             [-420, 222, 136, 0, 2.6],
             [-760, 226, 140, 0, 2.6],
@@ -227,7 +227,9 @@ def _add_shirt(build: _Builder, collar: np.ndarray, picture: np.ndarray) -> None
     x = centre[0] + rings[:, 1:2] * np.sign(s) * np.abs(s) ** power
     z = centre[2] + (rings[:, 3:4] + rings[:, 2:3] * np.sign(c) * np.abs(c) ** power)
     # The trapezius: shoulders fall to the sides, the collar's front lies lower than its back.
-    fall = 0.18 * np.maximum(np.abs(x - centre[0]) - reach[0], 0) + 0.25 * (z - centre[2]) * (rings[:, :1] > -90)
+    fall = 0.18 * np.maximum(np.abs(x - centre[0]) - reach[0], 0) + 0.25 * (z - centre[2]) * np.clip(
+        (150 + rings[:, :1]) / 110, 0, 1
+    )
     y = top + rings[:, :1] - fall
     points = np.stack([x, y, z], -1)
     along, around = np.gradient(points, axis=0), np.gradient(points, axis=1)

@@ -40,7 +40,7 @@ class Person:
 
 @dataclass(frozen=True)
 class Surface:
-    """albedo (t, t, 3) linear, gloss (t, t), relief (t, t) mm, slopes (t, t, 2); all float32 and continued off-chart."""
+    """albedo (t, t, 3) linear, gloss (t, t), relief (t, t) mm, slopes (t, t, 2): float32, continued off-chart."""
 
     albedo: np.ndarray
     gloss: np.ndarray
@@ -224,7 +224,7 @@ def _brow_hairs(chart: Chart, rng: np.random.Generator) -> np.ndarray:
     t, scale = chart.size, chart.scale
     cover = np.zeros((t, t), np.float32)
     thick, full = rng.uniform(2.6, 4.2), int(rng.uniform(420, 700))
-    for name, side in (("brow_left", 1.0), ("brow_right", -1.0)):
+    for name in ("brow_left", "brow_right"):
         line = chart_lines(chart, chart.template.contours[name])[0]
         if np.abs(chart.template.mean[chart.template.contours[name][0], 0]) > np.abs(
             chart.template.mean[chart.template.contours[name][-1], 0]
@@ -247,7 +247,6 @@ def _brow_hairs(chart: Chart, rng: np.random.Generator) -> np.ndarray:
             along = np.cos(lift) * tangent + np.sin(lift) * up
             bend = np.cos(lift * 0.4) * tangent + np.sin(lift * 0.4) * up
             stroke = np.stack([start, start + 0.5 * length * along, start + 0.5 * length * (along + bend)])
-            layer = np.zeros(0)
             low = np.floor(stroke.min(0)).astype(int) - 2
             high = np.ceil(stroke.max(0)).astype(int) + 3
             if (low < 0).any() or (high > t).any():

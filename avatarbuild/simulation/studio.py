@@ -92,12 +92,20 @@ def build_studio(
 
 
 def collar_of(template: Template) -> np.ndarray:
-    """(r, 3) mm: where the neck of the mean head leaves the shirt, a ring of points about 40 mm above its lower rim."""
+    """(r, 3) mm: a ring of points around the lower end of the neck of the mean head, where the shirt begins."""
     skin = template.mean[template.parts["skin"].vertices]
-    neck = skin[template.regions["neck"][template.parts["skin"].vertices]]
-    low, high = neck[:, 1].min(), neck[:, 1].max()
-    at = low + 0.35 * (high - low)
-    return neck[np.abs(neck[:, 1] - at) < 6.0]
+    chin = template.landmarks(template.mean)[152, 1]
+    narrowest, ring = np.inf, skin
+    for level in np.arange(chin - 12.0, skin[:, 1].min(), -4.0):
+        near = skin[(np.abs(skin[:, 1] - level) < 6.0) & (skin[:, 2] < 5.0)]
+        if len(near) < 12:
+            continue
+        width = np.abs(near[:, 0]).max()
+        narrowest = min(narrowest, width)
+        if width > 1.15 * narrowest:
+            break
+        ring = near
+    return ring
 
 
 def surroundings(studio: Studio, light: Light) -> Lit:

@@ -64,12 +64,12 @@ def random_subject(template: Template, rng: np.random.Generator, *, deviation: f
     neutral = template.neutral(coefficients)
     eyes = template.eye_positions(coefficients)
     still = _rigid_share(template)
-    field = deviation * _field(template.mean, rng, ((55.0, 1.1), (28.0, 0.55), (14.0, 0.22)))
+    field = deviation * _field(template.mean, rng, ((55.0, 0.8), (28.0, 0.42), (14.0, 0.2)))
     field -= _symmetric_lids(template, field)
     neutral = neutral + field * (1 - still)[:, None]
     # Squares of the identity's own displacement leave its span where a random field might not.
     bend = (neutral - template.mean) / 12.0
-    neutral = neutral + deviation * 0.25 * np.sign(bend) * bend**2 * (1 - still)[:, None]
+    neutral = neutral + deviation * 0.2 * np.sign(bend) * bend**2 * (1 - still)[:, None]
     origin = eyes.mean(axis=0)
     neutral, eyes = neutral - origin, eyes - origin
     return Subject(

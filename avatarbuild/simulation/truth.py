@@ -123,7 +123,7 @@ def write_cameras(
                 "room_from_head": turn.tolist(),
             }
         )
-    told = {"photos": photos, "convention": _CONVENTION}
+    told: dict[str, Any] = {"photos": photos, "convention": _CONVENTION}
     if video is not None:
         told["video"] = video
     (folder / "cameras.json").write_text(json.dumps(told))

@@ -51,11 +51,11 @@ class Wrinkles:
 
 def gains(weights: dict[str, float]) -> dict[str, float]:
     """Group -> gain 0 … about 1.2, smooth in the weights and nil at rest."""
-    total = {
-        name: sum(share * max(weights.get(shape, 0.0), 0.0) for shape, share in shapes.items())
-        for name, shapes in GROUPS.items()
-    }
-    return {name: float(1.2 * smoothstep(np.array(value), 0.05, 1.1)) for name, value in total.items()}
+    found: dict[str, float] = {}
+    for name, shapes in GROUPS.items():
+        total = sum(share * max(weights.get(shape, 0.0), 0.0) for shape, share in shapes.items())
+        found[name] = 1.2 * float(smoothstep(np.array(total), 0.05, 1.1))
+    return found
 
 
 def folds(chart: Chart, seed: int) -> Wrinkles:
@@ -69,16 +69,18 @@ def folds(chart: Chart, seed: int) -> Wrinkles:
             height = height + _dimples(chart, at[175] * 0.5 + at[200] * 0.5, int(rng.integers(1 << 20)))
         touched = np.abs(height) > 1e-4
         if not touched.any():
-            rows, columns = slice(0, 1), slice(0, 1)
+            window = (slice(0, 1), slice(0, 1))
         else:
             i, j = np.nonzero(touched)
-            rows = slice(max(i.min() - 2, 0), int(i.max()) + 3)
-            columns = slice(max(j.min() - 2, 0), int(j.max()) + 3)
+            window = (
+                slice(max(int(i.min()) - 2, 0), int(i.max()) + 3),
+                slice(max(int(j.min()) - 2, 0), int(j.max()) + 3),
+            )
         dark = np.clip(-height / 0.45, 0, 1) * 0.32
-        layers[name] = np.concatenate([slopes(height, chart.scale), dark[..., None]], axis=-1)[rows, columns].astype(
+        layers[name] = np.concatenate([slopes(height, chart.scale), dark[..., None]], axis=-1)[window].astype(
             np.float32
         )
-        windows[name] = (rows, columns)
+        windows[name] = window
     return Wrinkles(chart.size, windows, layers)
 
 
@@ -132,15 +134,16 @@ def _relief(chart: Chart, lines: list[tuple[np.ndarray, float, float]], rng: np.
             [np.interp(np.linspace(0, 1, 160), np.linspace(0, 1, len(points)), points[:, c]) for c in range(3)], 1
         )
         # The drawn line need not lie on the skin: distances count across the face only.
-        low, high = dense.min(0) - [8, 8, 30], dense.max(0) + [8, 8, 30]
+        reach = np.array([8.0, 8.0, 30.0])
+        low, high = dense.min(0) - reach, dense.max(0) + reach
         near = skin & ((chart.position > low) & (chart.position < high)).all(-1)
         rows, columns = np.nonzero(near)
         flat = np.array([1.0, 1.0, 0.35])
         d, k = cKDTree(dense * flat).query(chart.position[rows, columns] * flat)
         fade = np.sin(np.pi * np.clip(k / 159, 0.001, 0.999)) ** 0.6
-        breaks = 0.8 + 0.25 * fractal(chart.position[rows, columns], 6.0, 2, int(rng.integers(1 << 20)))
+        uneven = 0.8 + 0.25 * fractal(chart.position[rows, columns], 6.0, 2, int(rng.integers(1 << 20)))
         valley = -np.exp(-((d / width) ** 2)) + 0.38 * np.exp(-(((d - 2.1 * width) / (1.1 * width)) ** 2))
-        height[rows, columns] += depth * fade * breaks * valley
+        height[rows, columns] += depth * fade * uneven * valley
     return height
 
 
