@@ -47,10 +47,17 @@ class PointsOptions:
     """Dense multi-view stereo."""
 
     backend: str = option("auto", "auto, cpu, cuda", "PatchMatch on the processor, or COLMAP's on a CUDA card.")
-    max_image_size: int = option(1152, "pixels", "Longest side of the images that are matched.", draft=768, high=1600, least=200)
+    max_image_size: int = option(
+        1152, "pixels", "Longest side of the images that are matched.", draft=768, high=1600, least=200
+    )
     sources: int = option(4, "photos", "Source photos each photo is matched against.", least=2)
     window: int = option(5, "pixels", "Half width of the matching window.", least=2)
     min_views: int = option(3, "photos", "Photos that must agree on a point, the reference among them.", least=2)
+    tolerance: float = option(1.0, "pixels", "Largest distance of the surfaces of two photos that agree.", least=0.1)
+    spread: float = option(8.0, "degrees", "Angle that the photos that agree on a point must span.", least=0.0)
+    doubt: float = option(0.3, "ratio", "Photos that see through a point, allowed for each that agrees.", least=0.0)
+    least_piece: int = option(200, "points", "Smaller separate pieces of the cloud are dropped.", least=1)
+    eyeballs: bool = option(False, "", "Keep the points between the lids; eyes shine and turn between photos.")
 
 
 STAGE_OPTIONS: dict[str, type] = {"capture": CaptureOptions, "cameras": CamerasOptions, "points": PointsOptions}
@@ -111,3 +118,16 @@ def stage_options(quality: str = "standard", settings: dict[str, str] | None = N
                 raise InputError(f"option {key} is '{value}', {nearest(value, words)}")
         values[stage][name] = value
     return {stage: kind(**values[stage]) for stage, kind in STAGE_OPTIONS.items()}
+
+
+def described() -> list[dict[str, Any]]:
+    """Every option as {option, default, draft, high, unit, sentence}."""
+    rows = []
+    for stage, kind in STAGE_OPTIONS.items():
+        for f in dataclasses.fields(kind):
+            row = {"option": f"{stage}.{f.name}", "default": f.default}
+            for quality in ("draft", "high"):
+                value = f.metadata[quality]
+                row[quality] = f.default if value is None else value
+            rows.append(row | {"unit": f.metadata["unit"], "sentence": f.metadata["sentence"]})
+    return rows
