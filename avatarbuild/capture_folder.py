@@ -49,6 +49,12 @@ class CaptureFolder:
     warnings: list[str] = field(default_factory=list)
     subjects: list[str] = field(default_factory=list)
 
+    @property
+    def files(self) -> list[Path]:
+        """Every file that the avatar depends on, relative to the root."""
+        settings = [Path(SETTINGS)] if (self.root / SETTINGS).is_file() else []
+        return [*settings, *self.photos, *self.videos]
+
 
 def natural(path: Path | str) -> tuple[Any, ...]:
     """A sorting key under which IMG_9 comes before IMG_10, whatever the letters' case."""

@@ -100,7 +100,9 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def program(
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
 ) -> None:
     """Animatable 3D avatars from phone photos and a short video, on your own machine."""
 
@@ -108,7 +110,9 @@ def program(
 @app.command()
 def run(
     capture: CapturePath,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Project folder; default CAPTURE.avatar.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Project folder; default CAPTURE.avatar.")
+    ] = None,
     first: Annotated[str | None, typer.Option("--from", help="Run this stage and what follows again.")] = None,
     until: Annotated[str | None, typer.Option(help="Stop after this stage.")] = None,
     only: Annotated[str | None, typer.Option(help="Run this stage alone; its inputs must be fresh.")] = None,
@@ -120,11 +124,11 @@ def run(
     as_json: Json = False,
 ) -> None:
     """Build the avatar of a capture; go on where the project left off."""
-    from avatarbuild.capture_folder import find_capture
+    from avatarbuild.capture_folder import open_capture
 
     what = pipeline.plan(first, until, only, force)
     changes = _settings(pairs or [])
-    found = find_capture(capture)
+    found = open_capture(capture)
     project = Project(output if output is not None else default_project(capture))
     with project.lock(), _log_into(project.log_file):
         log.info("avatarbuild %s: run %s", __version__, what)
@@ -134,7 +138,7 @@ def run(
         settings = {key: value for key, value in settings.items() if value != "default"}
         chosen = all_options.stage_options(quality, settings)
         project.write_settings(capture, quality, settings)
-        project.require_space(int(2.0 * sum(path.stat().st_size for path in found.photos) + 5e8))
+        project.require_space(int(2.0 * sum((found.root / photo).stat().st_size for photo in found.photos) + 5e8))
         ran: list[dict[str, Any]] = []
 
         def tell(line: pipeline.StageState, now: bool) -> None:
@@ -146,7 +150,7 @@ def run(
             for warning in line.warnings if now else []:
                 screen.print(f"  [yellow]warning[/] {rich.markup.escape(warning)}")
 
-        digest = digest_files(found.root, found.files)
+        digest = digest_files(found.root, [found.root / name for name in found.files])
         error = None
         try:
             pipeline.run(project, capture, digest, chosen, what, Bars(), tell)
@@ -181,15 +185,15 @@ def _line_json(line: pipeline.StageState) -> dict[str, Any]:
 @app.command()
 def status(project_folder: ProjectPath, as_json: Json = False) -> None:
     """A table of the stages: fresh, stale or missing, seconds, figures."""
-    from avatarbuild.capture_folder import find_capture
+    from avatarbuild.capture_folder import open_capture
 
     project = _existing(project_folder)
     kept = project.settings()
     chosen = all_options.stage_options(kept.get("quality", "standard"), kept.get("options", {}))
     digest = ""
     try:
-        found = find_capture(project.root / kept.get("capture", ""))
-        digest = digest_files(found.root, found.files)
+        found = open_capture(project.root / kept.get("capture", ""))
+        digest = digest_files(found.root, [found.root / name for name in found.files])
     except InputError as error:
         screen.print(f"[yellow]warning[/] {rich.markup.escape(str(error))}")
     lines = pipeline.states(project, pipeline.keys(digest, chosen))
@@ -207,7 +211,9 @@ def status(project_folder: ProjectPath, as_json: Json = False) -> None:
 @app.command()
 def clean(
     project_folder: ProjectPath,
-    stages: Annotated[list[str] | None, typer.Option("--stage", help="Delete this stage's folder; may be repeated.")] = None,
+    stages: Annotated[
+        list[str] | None, typer.Option("--stage", help="Delete this stage's folder; may be repeated.")
+    ] = None,
 ) -> None:
     """Show what a project takes on disk; with --stage, delete that."""
     project = _existing(project_folder)
@@ -251,7 +257,9 @@ def check(
     try:
         place.write_bytes(checkup.picture)
     except OSError as error:
-        raise InputError(f"the picture cannot be written to {place} ({error.strerror}): name another file with --picture") from None
+        raise InputError(
+            f"the picture cannot be written to {place} ({error.strerror}): name another file with --picture"
+        ) from None
     if as_json:
         typer.echo(json.dumps(checkup.as_json(), indent=1, ensure_ascii=False))
         return

@@ -23,9 +23,13 @@ class CaptureOptions:
     """Reading photos and video, landmarks."""
 
     frame_rate: float = option(3.0, "Hz", "Video frames processed a second; sharp ones are preferred.", least=0.1)
-    max_megapixels: float = option(16.0, "megapixels", "Larger photos are scaled down to this size.", draft=4.0, least=0.5)
+    max_megapixels: float = option(
+        16.0, "megapixels", "Larger photos are scaled down to this size.", draft=4.0, least=0.5
+    )
     jpeg_quality: int = option(97, "1-100", "JPEG quality of the upright copies kept in the project.", least=50)
-    presence: float = option(0.9, "probability", "Least presence score at which a face's landmarks are trusted.", least=0.0)
+    presence: float = option(
+        0.9, "probability", "Least presence score at which a face's landmarks are trusted.", least=0.0
+    )
     max_yaw: float = option(60.0, "degrees", "Largest head yaw at which landmarks are trusted.", least=10.0)
 
 
@@ -33,13 +37,23 @@ class CaptureOptions:
 class CamerasOptions:
     """Structure from motion."""
 
-    max_image_size: int = option(2400, "pixels", "Longest side of the images that features are found in.", draft=1200, least=320)
-    max_features: int = option(8192, "features", "SIFT features kept an image, largest scales first.", draft=4096, least=500)
+    max_image_size: int = option(
+        2400, "pixels", "Longest side of the images that features are found in.", draft=1200, least=320
+    )
+    max_features: int = option(
+        4096, "features", "SIFT features kept an image, largest first.", draft=3000, high=8192, least=500
+    )
     exhaustive_up_to: int = option(24, "photos", "Sets up to this size are matched pair by pair, all of them.", least=2)
-    overlap: int = option(8, "photos", "Neighbours in shooting order that each photo is matched with.", least=2)
-    loop_pairs: int = option(8, "photos", "Photos further away in order, alike in view, that each photo is matched with.", least=0)
-    iris_diameter: float = option(11.7, "mm", "Horizontal visible iris diameter that gives the metric scale.", least=9.0)
-    features: str = option("auto", "auto, all, head", "Which features place the cameras: all, the head's alone, or the better.")
+    overlap: int = option(6, "photos", "Neighbours in shooting order that each photo is matched with.", least=2)
+    loop_pairs: int = option(
+        6, "photos", "Photos further off in order, alike in view, that each is matched with.", least=0
+    )
+    iris_diameter: float = option(
+        11.7, "mm", "Horizontal visible iris diameter that gives the metric scale.", least=9.0
+    )
+    features: str = option(
+        "auto", "auto, all, head", "Which features place the cameras: all, the head's alone, or the better."
+    )
 
 
 @dataclass(frozen=True)

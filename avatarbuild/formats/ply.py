@@ -39,4 +39,4 @@ def read_cloud(data: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndar
     if data[:end] != _header(len(rows)):
         raise ValueError("not a point cloud written by this program")
     stack = lambda names: np.stack([rows[name] for name in names], axis=1)  # noqa: E731
-    return stack("x y z".split()), stack("nx ny nz".split()), stack("red green blue".split()), rows["views"].copy()
+    return stack(["x", "y", "z"]), stack(["nx", "ny", "nz"]), stack(["red", "green", "blue"]), rows["views"].copy()

@@ -1,4 +1,4 @@
-"""From verified matches to cameras: COLMAP's database and incremental mapper, and the last bundle adjustment."""
+"""From verified matches to cameras: COLMAP's incremental mapper on the largest features, then all of them."""
 
 from __future__ import annotations
 
@@ -13,6 +13,26 @@ from avatarbuild.sfm.features import Features
 
 Verified = dict[tuple[int, int], pycolmap.TwoViewGeometry]
 
+# The mapper's time grows with its points: the largest features of each photo place the cameras, then all features are
+# triangulated and adjusted together.
+_SKELETON = 1800
+_LEAST_MATCHES = 15
+_FAR, _NEAR = 4.0, 2.0  # pixels: observations further from their point are dropped, before and after the adjustment
+_LEAST_ANGLE = 1.5  # degrees between the rays of a point
+
+
+def _options() -> pycolmap.IncrementalPipelineOptions:
+    options = pycolmap.IncrementalPipelineOptions()
+    options.random_seed = 0
+    options.num_threads = 1  # several threads add residuals in a changing order: other bytes every time
+    options.extract_colors = False
+    options.min_model_size = 3
+    options.ba_global_frames_ratio = options.ba_global_points_ratio = 1.3
+    options.ba_global_function_tolerance = options.ba_local_function_tolerance = 1e-5
+    options.ba_global_max_num_iterations = 30
+    options.ba_global_max_refinements = 2
+    return options
+
 
 def _write_database(
     path: Path,
@@ -21,6 +41,7 @@ def _write_database(
     cameras: list[pycolmap.Camera],
     camera_of: np.ndarray,
     pairs: Verified,
+    largest: int | None,
 ) -> None:
     with pycolmap.Database.open(str(path)) as database:
         ids = []
@@ -41,8 +62,14 @@ def _write_database(
             database.write_keypoints(image, np.ascontiguousarray(f.points))
             images.append(image)
         for (i, j), geometry in sorted(pairs.items()):
-            database.write_matches(images[i], images[j], geometry.inlier_matches)
-            database.write_two_view_geometry(images[i], images[j], geometry)
+            matches = geometry.inlier_matches
+            if largest is not None:
+                matches = matches[(matches < largest).all(axis=1)]
+            if len(matches) < _LEAST_MATCHES:
+                continue
+            part = pycolmap.TwoViewGeometry(geometry.todict() | {"inlier_matches": matches})
+            database.write_matches(images[i], images[j], matches)
+            database.write_two_view_geometry(images[i], images[j], part)
 
 
 def map_photos(
@@ -55,28 +82,34 @@ def map_photos(
 ) -> list[pycolmap.Reconstruction]:
     """
     Incremental structure from motion [Schoenberger & Frahm 2016] of k photos; `cameras` hold the focal priors, photo i
-    has cameras[camera_of[i]]. `tell` is called after each placed photo. Returns the models, largest first.
+    has cameras[camera_of[i]]. `tell` is called after each placed photo. Returns the models, largest first; the first
+    one has all its features and OPENCV lenses.
     """
-    options = pycolmap.IncrementalPipelineOptions()
-    options.random_seed = 0
-    options.num_threads = 1  # several threads add residuals in a changing order: other bytes every time
-    options.extract_colors = False
-    options.min_model_size = 3
-    options.ba_use_gpu = False
+    pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
     with tempfile.TemporaryDirectory() as folder:
-        database = Path(folder) / "database.db"
-        _write_database(database, names, features, cameras, camera_of, pairs)
-        models = pycolmap.incremental_mapping(
-            str(database), folder, str(Path(folder) / "models"), options=options, next_image_callback=tell
+        skeleton, full = str(Path(folder) / "skeleton.db"), str(Path(folder) / "full.db")
+        _write_database(Path(skeleton), names, features, cameras, camera_of, pairs, _SKELETON)
+        found = pycolmap.incremental_mapping(
+            skeleton, folder, str(Path(folder) / "models"), options=_options(), next_image_callback=tell
         )
-    return sorted(models.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
+        models = sorted(found.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
+        if models:
+            _free_lenses(models[0])
+            _adjust(models[0])
+            freed = [models[0].cameras[number] for number in range(1, len(cameras) + 1)]
+            _write_database(Path(full), names, features, freed, camera_of, pairs, None)
+            models[0] = pycolmap.triangulate_points(
+                models[0], full, folder, str(Path(folder) / "dense"), clear_points=True, options=_options()
+            )
+            for furthest in (_FAR, _NEAR):
+                _drop_outliers(models[0], furthest)
+                _adjust(models[0])
+            _drop_outliers(models[0], _NEAR)
+    return models
 
 
-def refine_lens(model: pycolmap.Reconstruction) -> None:
-    """
-    Replaces each camera's model by OPENCV (k1, k2, p1, p2) and adjusts cameras, points and lens once more, in place:
-    the radial term alone leaves half a pixel in the corners of phone lenses.
-    """
+def _free_lenses(model: pycolmap.Reconstruction) -> None:
+    # SIMPLE_RADIAL leaves half a pixel in the corners of phone lenses.
     for number in sorted(model.cameras):
         camera = model.cameras[number]
         if camera.model != pycolmap.CameraModelId.SIMPLE_RADIAL:
@@ -84,7 +117,17 @@ def refine_lens(model: pycolmap.Reconstruction) -> None:
         f, cx, cy, k = camera.params
         camera.model = pycolmap.CameraModelId.OPENCV
         camera.params = [f, f, cx, cy, k, 0.0, 0.0, 0.0]
+
+
+def _adjust(model: pycolmap.Reconstruction) -> None:
     options = pycolmap.BundleAdjustmentOptions()
     options.print_summary = False
+    options.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
     options.ceres.solver_options.num_threads = 1
+    options.ceres.solver_options.function_tolerance = 1e-7
+    options.ceres.solver_options.max_num_iterations = 60
     pycolmap.bundle_adjustment(model, options)
+
+
+def _drop_outliers(model: pycolmap.Reconstruction, furthest: float) -> None:
+    pycolmap.ObservationManager(model).filter_all_points3D(furthest, _LEAST_ANGLE)
