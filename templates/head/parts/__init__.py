@@ -1,5 +1,6 @@
 """Eyeballs, teeth, gums and tongue of the head template, made by formula."""
 
+from .colours import colours
 from .eyeball import eyeball, eyeball_radius
 from .gums import gums
 from .hinge import Rigid, fit_rigid, jaw_opening
@@ -10,6 +11,7 @@ from .tongue import tongue
 __all__ = [
     "Part",
     "Rigid",
+    "colours",
     "crowns",
     "eyeball",
     "eyeball_radius",

@@ -24,8 +24,8 @@ NAMES = (
     "first_molar",
     "second_molar",
 )
-WIDTH = {"upper": 59.0, "lower": 53.0}  # mm between the buccal cusp lines at the back ends of the arches
-DEPTH = {"upper": 44.5, "lower": 42.5}  # mm from the incisal edges to the back ends
+WIDTH = {"upper": 58.0, "lower": 53.0}  # mm between the buccal cusp lines at the back ends of the arches
+DEPTH = {"upper": 42.7, "lower": 42.5}  # mm from the incisal edges to the back ends
 OVERBITE = 2.0  # mm
 OVERJET = 2.0  # mm
 
@@ -69,6 +69,7 @@ _POSTERIOR = np.array(
     ]
 )
 _CONTACT = 0.3  # depth of the contact with the next tooth, over the crown height
+_EDGE = 0.25  # mm by which the rounded edge of the front teeth stands over their rim
 _SEGMENTS = 12
 _CURVATURE = 3.93  # half width over the catenary's parameter
 _GAP = 0.998  # width of a crown over its place in the arch
@@ -141,7 +142,7 @@ def crowns(arch: ArchName, width: float | None = None, depth: float | None = Non
         angle = np.radians(torque)
         root = np.array([0.0, up, 0.0]) * np.cos(angle) - outwards * np.sin(angle)
         middle = np.array([np.interp(ends[k : k + 2].mean(), arclength, points[:, c]) for c in range(2)])
-        y = (OVERBITE if arch == "lower" else 0.0) + elevation
+        y = (OVERBITE if arch == "lower" else 0.0) + elevation + up * _EDGE * (k < 3)
         axes = np.stack([along, outwards * np.cos(angle) + np.array([0.0, up, 0.0]) * np.sin(angle), root], 1)
         made.append(
             Crown(
@@ -183,7 +184,7 @@ def _tooth(crown: Crown, row: int, lower: bool) -> Half:
     outwards = 0.5 * (labial + lingual) + 0.5 * (labial - lingual) * through
     height = t - _relief(crown, across, through) * np.clip((t - 0.45) / 0.55, 0, 1) ** 2 / crown.height
     wall = crown.place(along, outwards, height)
-    inset, sunk = (0.55, -0.25) if crown.anterior else (0.55, 1.2)
+    inset, sunk = (0.55, -_EDGE) if crown.anterior else (0.55, 1.2)
     middle = outwards[-1].mean()
     top_relief = _relief(crown, across[-1] * inset, through[-1] * (0.2 if crown.anterior else inset))
     top = crown.place(
