@@ -204,9 +204,9 @@ def _without_equal_files(root: Path, photos: list[Path], left_out: list[tuple[Pa
     for p in photos:
         by_size[(root / p).stat().st_size].append(p)
     dropped = set()
-    for same_size in by_size.values():
+    for size, same_size in by_size.items():
         first: dict[bytes, Path] = {}
-        for p in same_size if len(same_size) > 1 else []:
+        for p in same_size if size and len(same_size) > 1 else []:
             try:
                 digest = hashlib.sha256((root / p).read_bytes()).digest()
             except OSError:  # told when the photo is read

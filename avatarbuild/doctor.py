@@ -8,6 +8,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from rich.markup import escape
 from rich.table import Table
 
 from avatarbuild import coverage
@@ -77,11 +78,11 @@ def examine(source: Path, progress: Progress) -> Checkup:
 
 def table(checkup: Checkup) -> Table:
     """The findings for a terminal."""
-    shown = Table(title=f"{checkup.source}: {checkup.verdict}", title_justify="left", show_lines=False)
+    shown = Table(title=escape(f"{checkup.source}: {checkup.verdict}"), title_justify="left", show_lines=False)
     for name in ("what", "found", "verdict", "what to do"):
         shown.add_column(name, overflow="fold")
     for f in checkup.findings:
-        shown.add_row(f.name, f.found, f"[{_COLOURS[f.verdict]}]{f.verdict}[/]", f.advice)
+        shown.add_row(f.name, escape(f.found), f"[{_COLOURS[f.verdict]}]{f.verdict}[/]", escape(f.advice))
     return shown
 
 

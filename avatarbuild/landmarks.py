@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import struct
 import tempfile
-import threading
 import zipfile
+from collections import deque
 from collections.abc import Iterator
 from functools import cache
 from importlib.resources import files
@@ -34,6 +34,8 @@ _DETECTOR_SIZE = 128
 _CROP_SIZE = 256
 _ROOM = 1.5  # a crop's side over the face's larger extent, as the network was trained
 _ANCHOR_LAYERS = ((8, 2), (16, 6))  # stride in detector pixels, anchors a cell
+_PASSES = 3  # new traces at most; one is enough where the square moves by less than this share of its side
+_SETTLED = 0.06
 _CLEAR = 0.7  # a detection this sure is a head, if only its side, and parts of the picture show no better one
 _OVERLAP = 0.3  # detections that overlap by more (intersection over union) are one face
 _PADDING = 0.35  # a border, as a share of the longer side, lets the detector see faces that the picture's edge cuts
@@ -105,15 +107,15 @@ def find_faces(rgb: np.ndarray, presence: float = 0.9, most: int = 4, careful: b
     The faces in an upright (h, w, 3) uint8 sRGB picture, the surest and largest first.
 
     Looks at the whole picture; where no face with at least `presence` comes of it, at the picture with a border, and
-    where the detector saw nothing clearly, at overlapping parts of it. The best doubtful face is returned where there
-    is no better one. `careful` averages each face's points with those of its mirror image, for a tenth less noise and
+    where the detector saw nothing clearly, at overlapping parts of it. A doubtful face, such as a profile, is returned
+    where the detector is sure of it and there is no better one. `careful` averages each face's points with those of its mirror image, for a tenth less noise and
     half as much time again.
     """
     faces: list[Face] = []
     for detections in _looks(rgb):
         for detection in detections:
             face = trace(rgb, detection.region, careful)
-            if face.presence >= 0.5 * presence or not faces:
+            if face.presence >= 0.5 * presence or (detection.score >= _CLEAR and not faces):
                 faces.append(face)
         if any(face.presence >= presence for face in faces):
             break
@@ -126,10 +128,13 @@ def find_faces(rgb: np.ndarray, presence: float = 0.9, most: int = 4, careful: b
 
 
 def trace(rgb: np.ndarray, region: Region, careful: bool = True) -> Face:
-    """The face in a region: its points, traced once more in the square that the first points ask for."""
-    points, _ = _points(rgb, region)
-    region = region_about(points)
+    """The face in a region: its points, traced anew in the square that they ask for until that stays put."""
     points, presence = _points(rgb, region)
+    for _ in range(_PASSES):
+        before, region = region, region_about(points)
+        points, presence = _points(rgb, region)
+        if _moved(before, region) < _SETTLED:
+            break
     if careful:
         width = rgb.shape[1]
         middle = np.array([width - region.centre[0], region.centre[1]])
@@ -147,7 +152,7 @@ def detect(rgb: np.ndarray, threshold: float = 0.4, padding: float = 0.0) -> lis
     x0, y0 = (_DETECTOR_SIZE - small.shape[1]) // 2, (_DETECTOR_SIZE - small.shape[0]) // 2
     square = np.zeros((_DETECTOR_SIZE, _DETECTOR_SIZE, 3), np.uint8)
     square[y0 : y0 + small.shape[0], x0 : x0 + small.shape[1]] = small
-    boxes, logits = _networks()["detector"].run(square.astype(np.float32) / 127.5 - 1.0)
+    boxes, logits = _run("detector", square.astype(np.float32) / 127.5 - 1.0)
     score = _logistic(logits.ravel())
     found = np.flatnonzero(score >= threshold)
     found = found[np.argsort(-score[found], kind="stable")]
@@ -257,23 +262,32 @@ class _Network:
         return [np.array(out) for out in self.net.forward(self.outputs)]
 
 
-_thread = threading.local()
+_idle: deque[dict[str, _Network]] = deque()
 
 
 def _archive() -> Path:
     return Path(str(files("avatarbuild") / "models" / _ZIP))
 
 
-def _networks() -> dict[str, _Network]:
-    """This thread's own networks: one may not run in two threads at once."""
-    if not hasattr(_thread, "networks"):
-        with zipfile.ZipFile(_archive()) as archive:
-            _thread.networks = {
-                "detector": _Network(archive.read("face_detector.tflite"), ["regressors", "classificators"]),
-                "points": _Network(archive.read("face_landmarks_detector.tflite"), ["Identity", "Identity_1"]),
-                "scores": _Network(archive.read("face_blendshapes.tflite"), ["StatefulPartitionedCall:0"]),
-            }
-    return _thread.networks
+def _run(name: str, value: np.ndarray) -> list[np.ndarray]:
+    """Runs a network that no other thread is using: a set of them is lent, and loaded where none is idle."""
+    try:
+        networks = _idle.pop()
+    except IndexError:
+        networks = _load()
+    try:
+        return networks[name].run(value)
+    finally:
+        _idle.append(networks)
+
+
+def _load() -> dict[str, _Network]:
+    with zipfile.ZipFile(_archive()) as archive:
+        return {
+            "detector": _Network(archive.read("face_detector.tflite"), ["regressors", "classificators"]),
+            "points": _Network(archive.read("face_landmarks_detector.tflite"), ["Identity", "Identity_1"]),
+            "scores": _Network(archive.read("face_blendshapes.tflite"), ["StatefulPartitionedCall:0"]),
+        }
 
 
 def _looks(rgb: np.ndarray) -> Iterator[list[Detection]]:
@@ -284,7 +298,7 @@ def _looks(rgb: np.ndarray) -> Iterator[list[Detection]]:
         clear = clear or any(detection.score >= _CLEAR for detection in found)
         yield found
     h, w = rgb.shape[:2]
-    for parts in () if clear else (2, 3):
+    for parts in () if clear or max(h, w) <= _CROP_SIZE else (2, 3):
         side = 2 * max(h, w) // (parts + 1)
         found = []
         for y in _starts(h, side):
@@ -303,7 +317,7 @@ def _starts(length: int, side: int) -> list[int]:
 def _points(rgb: np.ndarray, region: Region) -> tuple[np.ndarray, float]:
     """(478, 3) points in the picture, and the presence."""
     square, to_picture = crop(rgb, region, _CROP_SIZE)
-    points, logit = _networks()["points"].run(square.astype(np.float32) / 255.0)
+    points, logit = _run("points", square.astype(np.float32) / 255.0)
     local = points.reshape(POINTS, 3).astype(np.float64)
     found = np.empty((POINTS, 3))
     found[:, :2] = local[:, :2] @ to_picture[:, :2].T + to_picture[:, 2]
@@ -314,7 +328,7 @@ def _points(rgb: np.ndarray, region: Region) -> tuple[np.ndarray, float]:
 def _scores(points: np.ndarray) -> np.ndarray:
     """(52,) scores; the network is blind to size and place but not to roll, so it sees the face upright."""
     upright = points[_SCORED_POINTS, :2] @ _rotation(-region_about(points).turn).T
-    (values,) = _networks()["scores"].run(upright[None])
+    (values,) = _run("scores", upright[None])
     scores = np.full(len(ARKIT_NAMES), np.nan)
     scores[_SCORE_COLUMNS] = values.ravel()[1:]
     return scores
@@ -337,6 +351,12 @@ def _overlaps(centre: np.ndarray, size: np.ndarray, centres: np.ndarray, sizes: 
     high = np.minimum(centre + size / 2, centres + sizes / 2)
     common = np.prod(np.clip(high - low, 0, None), axis=1)
     return common / (np.prod(size) + np.prod(sizes, axis=1) - common)
+
+
+def _moved(a: Region, b: Region) -> float:
+    """How far a square's corners moved at most, about, as a share of its side."""
+    turned = abs(np.angle(np.exp(1j * (a.turn - b.turn))))
+    return float((np.abs(a.centre - b.centre).max() + abs(a.side - b.side) / 2) / b.side + turned / 2)
 
 
 def _same_place(a: np.ndarray, b: np.ndarray) -> bool:
