@@ -1,4 +1,4 @@
-"""The options of every stage: one frozen dataclass a stage; a field's default, unit and sentence are its documentation."""
+"""The options of every stage: one frozen dataclass a stage; a field's default, unit and sentence document it."""
 
 from __future__ import annotations
 

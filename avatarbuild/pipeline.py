@@ -127,7 +127,7 @@ def run(
     """
     Brings the planned stages of a locked project up to date; `tell` hears of each one (and whether it ran now).
 
-    Raises InputError where the input cannot serve, where --only finds its inputs stale, and, after the last stage, where
+    Raises InputError where the input cannot serve, where --only finds its inputs stale and, after the last stage, where
     the photos show no face: cameras and points are then in COLMAP's own scale.
     """
     made_of = keys(capture_digest, chosen)

@@ -17,9 +17,9 @@ _LEAST_EDGES = 6
 
 def iris_circle(grey: np.ndarray, centre: np.ndarray, radius: float) -> tuple[np.ndarray, float, float]:
     """
-    argmax_{c, r} sum_a min(max(dI/dr, 0), cap) at c + r e_a over the angles a of the rim that lids leave free: Daugman's
-    integro-differential operator (1993), capped so that a highlight's edge counts no more than the rim's; then the
-    circle through the steepest points beside it, by least squares.
+    argmax_{c, r} sum_a min(max(dI/dr, 0), cap) at c + r e_a over the angles a that the lids leave free: Daugman's
+    integro-differential operator (1993), capped so that a highlight's edge counts no more than the rim's; then
+    the circle through the steepest points beside it, by least squares.
 
     grey (h, w) uint8 or float, centre (2,) pixels (first pixel's centre at 0.5) and radius from a detector, right
     within a fifth of the radius. Returns centre, radius (sub-pixel) and the share of angles that show the rim on its
@@ -50,8 +50,8 @@ def iris_circle(grey: np.ndarray, centre: np.ndarray, radius: float) -> tuple[np
     sides = edges[: len(_SIDE)].sum(), edges[len(_SIDE) :].sum()
     if min(sides) < _LEAST_EDGES:
         return centre, radius, 0.0
-    best = _circle(best[:2], best[2] + fine[at[edges]], _ANGLES[edges])
-    return (best[:2] - _WINDOW / 2) / scale + centre, float(best[2] / scale), float(min(sides)) / len(_SIDE)
+    rim = _circle(best[:2], best[2] + fine[at[edges]], _ANGLES[edges])
+    return (rim[:2] - _WINDOW / 2) / scale + centre, float(rim[2] / scale), float(min(sides)) / len(_SIDE)
 
 
 def _slope(window: np.ndarray, circles: np.ndarray, h: float = 1.0) -> np.ndarray:

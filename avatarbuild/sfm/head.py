@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
@@ -9,6 +11,8 @@ from avatarbuild.sfm.features import Features
 
 _GROW = 1.15  # the face's outline about its middle: ears and some hair belong to the head as well
 _LEAST_TRANSFERRED = 12
+_LEAST_TO_TELL = 200  # matches
+_LOW_SHARE, _HIGH_ERROR = 0.75, 1.6
 
 
 def head_features(
@@ -57,23 +61,51 @@ def _inside(points: np.ndarray, outline: np.ndarray) -> np.ndarray:
     return (side * turn >= 0).all(axis=1)
 
 
-def agreement(
-    heads: list[np.ndarray],
-    together: dict[tuple[int, int], np.ndarray],
-    alone: dict[tuple[int, int], np.ndarray],
-) -> float:
+class Agreement(NamedTuple):
     """
-    The share of the head's own matches that the whole picture's two-view geometries explain as well.
+    How well a model explains the head and the room: the share of matches whose two features observe one point, and the
+    mean reprojection error (pixels) of the points. NaN where
+    there are too few matches to tell.
+    """
 
-    together, alone: inlier matches (p, 2) of pairs, of all features and of head features by themselves. About 1 where
-    the head kept still in the room; well below where it turned. NaN where the head has too few matches to tell.
+    head_share: float
+    room_share: float
+    head_error: float
+    room_error: float
+
+    @property
+    def head_moved(self) -> bool:
+        """
+        Whether the head turned against the room. Where it turned a little, its points fit badly; where it turned much,
+        they are torn apart. Two photos of a head that turns about the axis round which the camera goes agree with each
+        other whatever it does; three do not, so that two-view geometries tell nothing.
+        """
+        return self.head_share < _LOW_SHARE * self.room_share or self.head_error > _HIGH_ERROR * self.room_error
+
+
+def agreement(
+    observed: list[np.ndarray | None],
+    errors: dict[int, float],
+    heads: list[np.ndarray],
+    matches: dict[tuple[int, int], np.ndarray],
+) -> Agreement:
     """
-    explained = total = 0
-    for pair, matches in alone.items():
-        if pair not in together:
+    observed[i] (n_i,) the point that each feature of photo i observes, -1 for none; None for photos not placed.
+    errors: point -> its mean reprojection error. heads[i] (n_i,) bool; matches (p, 2) of pairs.
+    """
+    explained, total, misfit = np.zeros(2), np.zeros(2), np.zeros(2)
+    for (i, j), pair in matches.items():
+        first, second = observed[i], observed[j]
+        if first is None or second is None:
             continue
-        i, j = pair
-        among = together[pair]
-        explained += min(int((heads[i][among[:, 0]] & heads[j][among[:, 1]]).sum()), len(matches))
-        total += len(matches)
-    return explained / total if total >= 100 else float("nan")
+        a, b = pair[:, 0], pair[:, 1]
+        same = (first[a] == second[b]) & (first[a] >= 0)
+        for number, side in enumerate((heads[i][a] & heads[j][b], ~heads[i][a] & ~heads[j][b])):
+            explained[number] += np.count_nonzero(same & side)
+            total[number] += np.count_nonzero(side)
+            misfit[number] += sum(errors[int(point)] for point in first[a[same & side]])
+    enough = (total >= _LEAST_TO_TELL) & (explained >= _LEAST_TO_TELL / 10)
+    share, error = (
+        np.where(enough, of / np.maximum(by, 1), np.nan) for of, by in ((explained, total), (misfit, explained))
+    )
+    return Agreement(float(share[0]), float(share[1]), float(error[0]), float(error[1]))

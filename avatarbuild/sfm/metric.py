@@ -73,7 +73,7 @@ def face_points(placed: Placed, landmarks: np.ndarray, trusted: np.ndarray) -> t
 
 @dataclass(frozen=True)
 class IrisSize:
-    """diameter in the model's units, its relative standard deviation over photos, measurements; each (photo, side, pixels)."""
+    """diameter in the model's units, its relative spread over count measurements, pixels (photo, side, diameter)."""
 
     diameter: float
     spread: float
@@ -100,7 +100,7 @@ def iris_size(
         camera = placed.cameras[p]
         for side, iris in zip(("right", "left"), _IRISES):
             marks = landmarks[photo, iris, :2]
-            radius = np.linalg.norm(marks[1] - marks[3]) / 2
+            radius = float(np.linalg.norm(marks[1] - marks[3])) / 2
             if radius < _LEAST_RADIUS:
                 continue
             middle, radius, shown = iris_circle(picture, marks[0], radius)

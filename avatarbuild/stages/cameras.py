@@ -17,7 +17,7 @@ from avatarbuild.errors import InputError
 from avatarbuild.landmarks import canonical_face
 from avatarbuild.options import CamerasOptions
 from avatarbuild.progress import Progress
-from avatarbuild.sfm import focal, head, matching, metric
+from avatarbuild.sfm import head, matching, metric
 from avatarbuild.sfm.features import Features, cores, extract
 from avatarbuild.sfm.mapping import Verified, map_photos
 
@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 
 LEAST_MATCHES = 15
 LEAST_PLACED = 3
-HEAD_MOVED = 0.75  # below this agreement of head and room the head turned between the photos
+BETTER = 0.9  # the head's own features are preferred where they fit it this much more closely
 DEFAULT_FOCAL = 1.2  # times the longer side, COLMAP's own guess where nothing is known
 TRUSTED_PRESENCE, TRUSTED_YAW = 0.9, 60.0
 
@@ -46,18 +46,12 @@ def run(capture: Capture, options: CamerasOptions, progress: Progress) -> Camera
             task.advance()
     lenses, camera_of = _lenses(capture)
     matches = _match(features, options, progress)
-    factor = focal.plausible_factor(features, matches, lenses, camera_of)
-    if factor != 1.0:
-        for lens in lenses:
-            lens.params = [lens.params[0] * factor, *lens.params[1:]]
-            lens.has_prior_focal_length = False
-        warnings.append(f"the photos' focal length fits {factor:g} times what their EXIF says: it is estimated anew")
     models, which, agreement = _map(capture, options, features, matches, (lenses, camera_of), progress, warnings)
     if not models or models[0].num_reg_images() < LEAST_PLACED:
         placed_count = models[0].num_reg_images() if models else 0
         raise InputError(
-            f"{placed_count} of {len(photos)} photos could be placed in space, at least {LEAST_PLACED} are needed: shoot "
-            "more photos, sharp ones, in small steps around the head, in a room with texture"
+            f"{placed_count} of {len(photos)} photos could be placed in space, at least {LEAST_PLACED} are needed: "
+            "shoot more photos, sharp ones, in small steps around the head, in a room with texture"
         )
     model = models[0]
     left_out = sorted(set(names) - {model.images[i].name for i in model.reg_image_ids()})
@@ -73,7 +67,7 @@ def run(capture: Capture, options: CamerasOptions, progress: Progress) -> Camera
         "reprojection_px": round(model.compute_mean_reprojection_error(), 3),
         "focal_px": [round(model.cameras[i].mean_focal_length(), 2) for i in sorted(model.cameras)],
         "features": which,
-        "head_room_agreement": None if np.isnan(agreement) else round(agreement, 3),
+        "head_and_room": None if agreement is None else [round(v, 3) for v in agreement],
     }
     _warn_of_focal(lenses, model, warnings)
     scale: dict[str, Any] = {"source": "none", "relative_sd": None}
@@ -104,7 +98,7 @@ def _lenses(capture: Capture) -> tuple[list[pycolmap.Camera], np.ndarray]:
     """One camera a lens, with its focal prior, and which of them each photo has."""
     photos = capture.photos
     numbers, camera_of = np.unique(photos.lens, return_inverse=True)
-    lenses = []
+    lenses: list[pycolmap.Camera] = []
     for number in numbers:
         width, height = (int(v) for v in photos.size[photos.lens == number][0])
         known = photos.focal[photos.lens == number]
@@ -163,43 +157,65 @@ def _map(
     lenses: tuple[list[pycolmap.Camera], np.ndarray],
     progress: Progress,
     warnings: list[str],
-) -> tuple[list[pycolmap.Reconstruction], str, float]:
+) -> tuple[list[pycolmap.Reconstruction], str, head.Agreement | None]:
     """The models, which features they are made of ('all' or 'head'), and the agreement of head and room."""
     names = [f"{name}.jpg" for name in capture.photos.names]
-    agreement = float("nan")
-    together: Verified = {}
-    alone: Verified = {}
-    if options.features != "head" or not capture.face:
-        together = _verify(features, matches, lenses)
-    if capture.face:
-        heads = head.head_features(features, capture.photos.landmarks, matches)
-        on_head = {(i, j): pair[heads[i][pair[:, 0]] & heads[j][pair[:, 1]]] for (i, j), pair in matches.items()}
-        on_head = {pair: m for pair, m in on_head.items() if len(m) >= LEAST_MATCHES}
-        alone = _verify(features, on_head, lenses)
-        agreement = head.agreement(
-            heads,
-            {pair: g.inlier_matches for pair, g in together.items()},
-            {pair: g.inlier_matches for pair, g in alone.items()},
-        )
-    moved = options.features == "auto" and agreement < HEAD_MOVED
-    with progress.task("placing photos", len(names) * (2 if moved else 1)) as task:
 
-        def place(pairs: Verified) -> list[pycolmap.Reconstruction]:
+    def place(pairs: Verified, label: str) -> list[pycolmap.Reconstruction]:
+        with progress.task(label, len(names)) as task:
             return map_photos(names, features, *lenses, pairs, task.advance)
 
-        if options.features == "head" and capture.face:
-            return place(alone), "head", agreement
-        if not moved:
-            return place(together), "all", agreement
-        by_head, by_all = place(alone), place(together)
-    counts = [models[0].num_reg_images() if models else 0 for models in (by_head, by_all)]
-    use_head = counts[0] >= max(LEAST_PLACED, counts[1] / 2)
-    told = f"the head turned against the room between the photos (they agree on {100 * agreement:.0f} % of the matches)"
-    if use_head:
-        warnings.append(f"{told}: the head's own features place the cameras")
-    else:
-        warnings.append(f"{told}, but too few photos could be placed by the head alone: keep still and shoot again")
-    return (by_head, "head", agreement) if use_head else (by_all, "all", agreement)
+    def place_by_head() -> list[pycolmap.Reconstruction]:
+        on_head = {(i, j): m[heads[i][m[:, 0]] & heads[j][m[:, 1]]] for (i, j), m in matches.items()}
+        enough = {pair: m for pair, m in on_head.items() if len(m) >= LEAST_MATCHES}
+        return place(_verify(features, enough, lenses), "placing photos by the head")
+
+    if not capture.face:
+        return place(_verify(features, matches, lenses), "placing photos"), "all", None
+    heads = head.head_features(features, capture.photos.landmarks, matches)
+    if options.features == "head":
+        return place_by_head(), "head", None
+    by_all = place(_verify(features, matches, lenses), "placing photos")
+    if not by_all:
+        return by_all, "all", None
+    agreement = _agreement(by_all[0], names, features, heads, matches)
+    if options.features == "all" or not agreement.head_moved:
+        return by_all, "all", agreement
+    told = "the head turned against the room between the photos"
+    by_head = place_by_head()
+    if by_head and by_head[0].num_reg_images() >= max(LEAST_PLACED, by_all[0].num_reg_images() / 2):
+        better = _agreement(by_head[0], names, features, heads, matches)
+        tighter = better.head_error < BETTER * agreement.head_error
+        if better.head_share > agreement.head_share / BETTER or (tighter and better.head_share > agreement.head_share):
+            warnings.append(f"{told}: the head's own features place the cameras")
+            return by_head, "head", agreement
+    warnings.append(f"{told}, and its own features place the cameras no better: for more accuracy keep still")
+    return by_all, "all", agreement
+
+
+def _agreement(
+    model: pycolmap.Reconstruction,
+    names: list[str],
+    features: list[Features],
+    heads: list[np.ndarray],
+    matches: dict[tuple[int, int], np.ndarray],
+) -> head.Agreement:
+    errors = {number: model.points3D[number].error for number in model.point3D_ids()}
+    return head.agreement(_observed(model, names, features), errors, heads, matches)
+
+
+def _observed(model: pycolmap.Reconstruction, names: list[str], features: list[Features]) -> list[np.ndarray | None]:
+    """For each photo, the number of the point that each of its features observes, -1 for none; None if not placed."""
+    images = {model.images[i].name: model.images[i] for i in model.reg_image_ids()}
+    observed: list[np.ndarray | None] = []
+    for name, found in zip(names, features):
+        if name not in images:
+            observed.append(None)
+            continue
+        points = images[name].points2D
+        number = [points[n].point3D_id if points[n].has_point3D() else -1 for n in range(len(found))]
+        observed.append(np.array(number, np.int64))
+    return observed
 
 
 def _colour(model: pycolmap.Reconstruction, capture: Capture, names: list[str]) -> None:
@@ -236,9 +252,10 @@ def _to_head(
     """Takes the model to millimetres and the head frame; returns where the scale comes from."""
     photos = capture.photos
     trusted = photos.trusted(TRUSTED_PRESENCE, TRUSTED_YAW)
-    if trusted[placed.index].sum() < LEAST_PLACED:
+    shown = int(trusted[placed.index].sum())
+    if shown < LEAST_PLACED:
         raise InputError(
-            f"{int(trusted[placed.index].sum())} of the placed photos show the face, at least {LEAST_PLACED} are needed: "
+            f"{shown} of the placed photos show the face, at least {LEAST_PLACED} are needed: "
             "shoot more photos from the front"
         )
     points, angles = metric.face_points(placed, photos.landmarks, trusted)
