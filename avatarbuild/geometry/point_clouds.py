@@ -18,14 +18,15 @@ def lonely(points: np.ndarray, neighbours: int = 12, deviations: float = 4.0) ->
     """
     (n,) bool: points whose mean distance to their nearest `neighbours` is beyond the usual one.
 
-    The usual one is robust: median + `deviations` * 1.4826 * median absolute deviation.
+    The usual one is robust: median + `deviations` * 1.4826 * median absolute deviation, this at least a quarter of the
+    median, as of points in a regular grid.
     """
     if len(points) <= neighbours:
         return np.zeros(len(points), bool)
     distance, _ = cKDTree(points).query(points, neighbours + 1, workers=-1)
     mean = distance[:, 1:].mean(axis=1)
     middle = np.median(mean)
-    return mean > middle + deviations * 1.4826 * np.median(np.abs(mean - middle))
+    return mean > middle + deviations * max(1.4826 * np.median(np.abs(mean - middle)), 0.25 * middle)
 
 
 def small_pieces(points: np.ndarray, gap: float, least: int) -> np.ndarray:
@@ -58,5 +59,6 @@ def within_outlines(
             with np.errstate(invalid="ignore"):
                 near = np.flatnonzero(front & (at > low).all(axis=1) & (at < high).all(axis=1))
             outline = polygon.astype(np.float32)
-            inside[near] += [cv2.pointPolygonTest(outline, (float(x), float(y)), False) >= 0 for x, y in at[near]]
+            hit = [cv2.pointPolygonTest(outline, (float(x), float(y)), False) >= 0 for x, y in at[near]]
+            inside[near[np.array(hit, bool)]] += 1
     return (facing > 0) & (2 * inside > facing)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import logging
 import os
+import tempfile
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from avatarbuild.artefacts import Cameras, Capture, Cloud
 from avatarbuild.errors import InputError
+from avatarbuild.formats import colmap_dense
 from avatarbuild.geometry import depth_maps, fusion, point_clouds, stereo_views
 from avatarbuild.geometry.depth_maps import Search
 from avatarbuild.geometry.fusion import Agreement
@@ -53,10 +56,17 @@ def run(capture: Capture, cameras: Cameras, options: PointsOptions, progress: Pr
 
     Raises InputError where the photos do not overlap enough to be matched, or nothing agrees.
     """
+    if options.backend == "cuda" and not card_at_hand():
+        raise InputError(
+            "points.backend is cuda, but there is no CUDA card or no pycolmap built for it: use cpu or auto"
+        )
     region = subject(cameras)
     views = load_views(capture, cameras, region, options, progress)
     sources, near, sharp = neighbourhoods(views, region, options)
-    planes, cost = match(views, sources, near, region, options, progress)
+    if options.backend == "cuda" or (options.backend == "auto" and card_at_hand()):
+        planes, cost = match_on_card(views, sources, region, options, progress)
+    else:
+        planes, cost = match(views, sources, near, region, options, progress)
     points, normals, colours, seen = fuse(views, near, sharp, planes, cost, options, progress)
     keep = np.flatnonzero(worth_keeping(points, normals, views, region, capture, cameras, options))
     if not len(keep):
@@ -220,6 +230,35 @@ def match(
             masks = [depth_maps.surface_mask(s) for s in sure] if level else []
         found = in_threads(repair, refs, task, SHARES["repair"])
         planes, cost = placed_among(found, refs, views, 0)
+    return planes, cost
+
+
+def card_at_hand() -> bool:
+    """Whether COLMAP's PatchMatch can run."""
+    import pycolmap
+
+    return bool(pycolmap.has_cuda)
+
+
+def match_on_card(
+    views: list[StereoView], sources: list[list[int]], region: Region, options: PointsOptions, progress: Progress
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """What `match` gives, from COLMAP's PatchMatch; it keeps no costs, so all pixels count the same."""
+    distance = np.array([np.linalg.norm(v.centre - region.centre) for v in views])
+    reach = float(region.axes.max())
+    nearest = max(float(distance.min()) - reach, 0.1 * float(distance.min()))
+    with tempfile.TemporaryDirectory(prefix="avatarbuild-") as name, progress.task("Matching on the card", 1) as task:
+        folder = Path(name)
+        images = [v.colour for v in views]
+        K, R, t = [v.K for v in views], [v.R for v in views], [v.t for v in views]
+        names = colmap_dense.write_workspace(folder, images, K, R, t, sources)
+        colmap_dense.run_patch_match(folder, nearest, float(distance.max()) + reach, options.window, options.sources)
+        task.advance()
+        planes = [
+            colmap_dense.read_planes(folder, name, v.K) if name else np.zeros((*v.grey[0].shape, 3), np.float32)
+            for name, v in zip(names, views)
+        ]
+    cost = [np.where(p[..., 0] > 0, np.float32(0.1), depth_maps.UNKNOWN) for p in planes]
     return planes, cost
 
 
