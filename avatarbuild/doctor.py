@@ -106,7 +106,7 @@ def _sampled(
     folder: CaptureFolder, photos: Survey, options: CaptureOptions, progress: Progress
 ) -> tuple[Survey | None, float, list[str]]:
     """A survey of some frames of the video, its length in seconds, and warnings."""
-    chosen, warnings = choose_video(folder, options.presence)
+    chosen, warnings = choose_video(folder, options.presence, photos.identity)
     if chosen is None:
         return None, 0.0, warnings
     times = video.frame_times(chosen.path)

@@ -18,6 +18,8 @@ _MAX_MISFIT = 12.0
 # portraits of one person correlate by 0.6 and more, mostly by 0.9, those of two by 0.1 to 0.57; their shapes lie
 # 1 to 4 mm apart, those of two people 4 to 8
 _LIKE, _UNLIKE, _APART = 0.7, 0.45, 2.5
+ANOTHER = 0.8  # unlikeness from which a face seems to be another person's
+_NOBODY = 6.0  # what it costs to follow no face, in the units of `follow`
 _ANOTHER_SIZE = 0.35  # faces smaller than this share of the subject's are passers-by and posters
 
 
@@ -88,14 +90,16 @@ def follow(looks: list[Look], presence: float, continuous: bool, known: Identity
 
     The path of least cost through the pictures (Viterbi): a face costs by how much smaller than the picture's
     largest it is, by what its presence lacks and by how unlike the `known` person it is; in a `continuous` sequence
-    also by how far, in its own size, it lies from the face before.
+    also by how far, in its own size, it lies from the face before. A photo that seems to show only another person
+    counts as one without a face; a sequence keeps its face, which a doubt of the person should not lose.
     """
+    doubt = 2.0 if continuous else 7.0
     costs, paths = np.zeros(1), []
     before: list[Candidate | None] = [None]
     for item in looks:
         here: list[Candidate | None] = [*item.faces, None]
         largest = max((f.size for f in item.faces), default=1.0)
-        own = np.array([6.0 if f is None else _cost(f, largest, presence, known) for f in here])
+        own = np.array([_NOBODY if f is None else _cost(f, largest, presence, known, doubt) for f in here])
         step = np.array([[_step(a, b) if continuous else 0.0 for a in before] for b in here]).reshape(len(here), -1)
         total = costs[None] + step
         paths.append(total.argmin(1))
@@ -107,6 +111,12 @@ def follow(looks: list[Look], presence: float, continuous: bool, known: Identity
         chosen.append(at if at < len(item.faces) else -1)
         at = int(back[at])
     return chosen[::-1]
+
+
+def least_unlikeness(item: Look, known: Identity | None, presence: float) -> float:
+    """The unlikeness of a picture's most alike sure face; NaN without a frontal one."""
+    values = [unlikeness(f, known) for f in item.faces if f.face.presence >= presence] if known is not None else []
+    return min((v for v in values if np.isfinite(v)), default=np.nan)
 
 
 def identity(looks: list[Look], chosen: list[int], presence: float) -> Identity | None:
@@ -142,10 +152,10 @@ def rigid_points() -> np.ndarray:
     return np.flatnonzero(canonical_face().rigidity)
 
 
-def _cost(face: Candidate, largest: float, presence: float, known: Identity | None) -> float:
+def _cost(face: Candidate, largest: float, presence: float, known: Identity | None, doubt: float) -> float:
     unsure = 0.0 if face.face.presence >= presence else 2.0
     unlike = 0.0 if known is None or face.portrait is None else min(2.0, unlikeness(face, known))
-    return 2.0 * float(np.log2(largest / face.size)) + unsure + 2.0 * unlike
+    return 2.0 * float(np.log2(largest / face.size)) + unsure + doubt * unlike
 
 
 def _step(a: Candidate | None, b: Candidate | None) -> float:

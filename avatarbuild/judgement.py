@@ -10,6 +10,7 @@ import numpy as np
 
 from avatarbuild.artefacts import Views
 from avatarbuild.capture_folder import CaptureFolder
+from avatarbuild.faces import ANOTHER
 from avatarbuild.portrait import handedness, likeness
 from avatarbuild.survey import Survey
 from avatarbuild.template import ARKIT_NAMES
@@ -26,7 +27,6 @@ _ALIKE = 12.0  # degrees between photos that see the face alike, whose light is 
 _ACTIVE = 0.5  # a score from which an expression is plainly there
 _CHANGED = 0.5  # a score this far from the photos' median is another expression
 
-_ANOTHER = 0.8  # unlikeness from which a face seems to be another person's
 _MIRRORED, _MIRRORED_LIKE = (
     0.3,
     0.6,
@@ -276,10 +276,10 @@ def _copies(folder: CaptureFolder) -> Finding:
 def _same_person(photos: Survey) -> Finding:
     """By the frontal photos; the others cannot be compared."""
     with np.errstate(invalid="ignore"):
-        other = photos.unlike > _ANOTHER
+        other = photos.unlike > ANOTHER
     compared = int(np.isfinite(photos.unlike).sum())
     share = other.sum() / max(compared, 1)
-    found = f"the frontal photos ({compared}) are alike" + _named(photos.views, other, ", but not ")
+    found = f"the frontal photos ({compared}) are alike" + _named(photos.views, other, "; another's, not used: ")
     verdict = GOOD if not other.any() else USABLE if share <= 0.3 else RESHOOT
     advice = "make sure that all photos show one person, with the same hair, glasses and make-up"
     return _finding("person", found, verdict, advice, unlike=_names(photos.views, other))
@@ -305,7 +305,7 @@ def _same_video(photos: Survey, frames: Survey) -> list[Finding]:
     hand = handedness(a, b)
     mirrored = hand < -_MIRRORED and likeness(a, b[:, ::-1]) > max(_MIRRORED_LIKE, likeness(a, b))
     unlike = float(np.nanmedian(frames.unlike))
-    other = unlike > _ANOTHER and not mirrored
+    other = unlike > ANOTHER and not mirrored
     found = "seems to be another person than in the photos" if other else "seems to be the person in the photos"
     advice = "make sure that photos and video show one person, with the same hair, glasses and make-up"
     person = _finding("person in video", found, RESHOOT if other else GOOD, advice, unlikeness=unlike)

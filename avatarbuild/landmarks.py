@@ -108,8 +108,8 @@ def find_faces(rgb: np.ndarray, presence: float = 0.9, most: int = 4, careful: b
 
     Looks at the whole picture; where no face with at least `presence` comes of it, at the picture with a border, and
     where the detector saw nothing clearly, at overlapping parts of it. A doubtful face, such as a profile, is returned
-    where the detector is sure of it and there is no better one. `careful` averages each face's points with those of its mirror image, for a tenth less noise and
-    half as much time again.
+    where the detector is sure of it and there is no better one. `careful` averages each face's points with those of
+    its mirror image, for a tenth less noise and half as much time again.
     """
     faces: list[Face] = []
     for detections in _looks(rgb):

@@ -50,7 +50,7 @@ class Survey:
     side_light, contrast  (k,) as focus.Measures
     others      (k,) further faces of comparable size
     identity    what the subject's frontal faces have in common, None without any
-    unlike      (k,) how unlike the photos' subject the face is: above 1 it seems another's; NaN where not frontal
+    unlike      (k,) how unlike the photos' subject the most alike face is; NaN without a sure frontal one
     assumed     (k,) bool: the focal length is an assumption
     """
 
@@ -162,8 +162,14 @@ def survey_frames(
     )
 
 
-def choose_video(folder: CaptureFolder, presence: float) -> tuple[video.VideoFile | None, list[str]]:
-    """The longest video that shows a face in half of a few frames all over it, and warnings about the others."""
+def choose_video(
+    folder: CaptureFolder, presence: float, known: Identity | None
+) -> tuple[video.VideoFile | None, list[str]]:
+    """
+    The longest video that shows a face in half of a few frames all over it, and warnings about the others.
+
+    A video whose face seems to be another's than the `known` one is taken only where there is no other.
+    """
     warnings, sound = [], []
     for file in folder.videos:
         try:
@@ -171,13 +177,19 @@ def choose_video(folder: CaptureFolder, presence: float) -> tuple[video.VideoFil
         except InputError as e:
             warnings.append(f"left out: {e}")
     sound.sort(key=lambda v: (-v.duration, natural(v.path)))
+    doubtful: list[video.VideoFile] = []
     for v in sound:
-        found = [look(rgb, presence, careful=False).faces for _, _, rgb in video.decode_frames(v.path, _tried(v))]
-        sure = sum(bool(f) and f[0].face.presence >= presence for f in found)
-        if 2 * sure >= max(len(found), 1):
-            return v, warnings
-        warnings.append(f"the video {v.path.name} shows a face in {sure} of {len(found)} frames tried; it is not used")
-    return None, warnings
+        looks = [look(rgb, presence, careful=False) for _, _, rgb in video.decode_frames(v.path, _tried(v))]
+        sure = sum(bool(item.faces) and item.faces[0].face.presence >= presence for item in looks)
+        if 2 * sure < max(len(looks), 1):
+            warnings.append(f"the video {v.path.name} shows a face in {sure} of {len(looks)} frames; it is not used")
+            continue
+        unlike = [value for item in looks if np.isfinite(value := faces.least_unlikeness(item, known, presence))]
+        if not unlike or np.median(unlike) <= faces.ANOTHER:
+            more = [f"the video {d.path.name} seems to show another person; it is not used" for d in doubtful]
+            return v, warnings + more
+        doubtful.append(v)
+    return (doubtful[0] if doubtful else None), warnings
 
 
 def _tried(v: video.VideoFile) -> list[int]:
@@ -251,7 +263,7 @@ def _survey(
         contrast=np.array([m.contrast for m in measures]),
         others=np.array([faces.others(look, i, presence) for look, i in zip(looks, chosen)], int),
         identity=faces.identity(looks, chosen, presence),
-        unlike=of_face(lambda s: np.nan if known is None else faces.unlikeness(s, known)),
+        unlike=np.array([faces.least_unlikeness(look, known, presence) for look in looks]),
         assumed=assumed,
     )
 

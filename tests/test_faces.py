@@ -37,6 +37,11 @@ def test_a_known_person_is_followed_although_smaller() -> None:
     looks[-1] = look_of(ben, looks[-1].faces[1])
     assert faces.follow(looks, 0.9, continuous=False, known=person)[-1] == 1
     assert faces.unlikeness(ben, person) > 1.0
+    only_ben = [look_of(ben)]
+    assert faces.follow(only_ben, 0.9, continuous=False, known=person) == [-1]
+    assert faces.follow(only_ben, 0.9, continuous=True, known=person) == [0]
+    assert faces.least_unlikeness(only_ben[0], person, 0.9) == faces.unlikeness(ben, person)
+    assert np.isnan(faces.least_unlikeness(look_of(face_at(yaw=60.0)), person, 0.9))
     assert faces.unlikeness(looks[0].faces[0], person) == 0.0
 
 

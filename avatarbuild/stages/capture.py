@@ -84,7 +84,7 @@ def _clip(
     folder: CaptureFolder, photos: Survey, options: CaptureOptions, progress: Progress
 ) -> tuple[Clip | None, Survey | None, list[str]]:
     """The expression video with its chosen frames, its survey, and warnings."""
-    chosen, warnings = choose_video(folder, options.presence)
+    chosen, warnings = choose_video(folder, options.presence, photos.identity)
     if chosen is None:
         return None, None, warnings  # the lack itself is judged with the rest
     if len(folder.videos) > 1:
