@@ -32,7 +32,7 @@ def iris_circle(grey: np.ndarray, centre: np.ndarray, radius: float) -> tuple[np
     shape = (_WINDOW, _WINDOW)
     window = cv2.warpAffine(grey.astype(np.float32), matrix, shape, flags=flags, borderMode=cv2.BORDER_REPLICATE)
     window = cv2.GaussianBlur(window, (0, 0), max(1.5, 0.6 * scale))
-    best = np.array([_WINDOW / 2, _WINDOW / 2, _RADIUS])
+    best: np.ndarray = np.array([_WINDOW / 2, _WINDOW / 2, _RADIUS])
     reach = np.arange(_RADIUS - _REACH, _RADIUS + _REACH + 0.5, 0.5)
     steepest = _slope(window, np.c_[np.tile(best[:2], (len(reach), 1)), reach]).max(axis=0)
     cap = 0.7 * float(np.median(steepest))
