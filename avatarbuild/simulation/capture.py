@@ -36,6 +36,12 @@ class SimulationOptions:
     video_width: int = option(1080, "pixels", "Width of the upright video; its height is 16/9 of it.", least=96)
     texture: int = option(2048, "texels", "Side of the skin's texture.", least=128)
     supersampling: int = option(2, "pixels", "Samples along each side of a pixel.", least=1)
+    identity_spread: float = option(
+        0.7,
+        "factor",
+        "Standard deviation of the template's coefficients: 1 is its own, rather wild, sampling.",
+        least=0,
+    )
     deviation: float = option(
         1.0, "factor", "How far person and expressions leave the template's linear space.", least=0
     )
@@ -90,7 +96,13 @@ def simulate(
     head = template or Template.load()
     listener = progress or Silent()
     studio = build_studio(
-        head, seed, o.texture, wall_texel(o.photo_width), deviation=o.deviation, second_person=o.second_person
+        head,
+        seed,
+        o.texture,
+        wall_texel(o.photo_width),
+        spread=o.identity_spread,
+        deviation=o.deviation,
+        second_person=o.second_person,
     )
     order = truth.order_of(head)
     exposure = _exposure(studio, studio.light)

@@ -80,7 +80,7 @@ def changed(light: Light, rng: np.random.Generator) -> Light:
 
 
 def occlusion(
-    vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, normals: np.ndarray, rays: int = 144
+    vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, normals: np.ndarray, rays: int = 112
 ) -> tuple[np.ndarray, np.ndarray]:
     """
     Ambient occlusion a = (1/pi) int V(d) (n . d) dd in (n,), and the mean unoccluded direction (n, 3), unit.

@@ -95,7 +95,8 @@ def draw(camera: Camera, still: list[Lit], heads: list[Skin], light: Light, supe
     seen = [big.project(mesh.vertices) for mesh in meshes]
     pixels, depth = np.concatenate([p for p, _ in seen]), np.concatenate([z for _, z in seen])
     first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    faces = np.concatenate([mesh.triangles + offset for mesh, offset in zip(meshes, first[:-1], strict=True)])
+    shown = [m.triangles if isinstance(m, Lit) else _fronts(m.vertices, m.triangles, camera.centre) for m in meshes]
+    faces = np.concatenate([triangles + offset for triangles, offset in zip(shown, first[:-1], strict=True)])
     face_range = np.cumsum([0, *(len(mesh.triangles) for mesh in meshes)])
     w, h = big.size
     out = np.empty((camera.size[1], camera.size[0], 3), np.float32)
@@ -120,6 +121,13 @@ def draw(camera: Camera, still: list[Lit], heads: list[Skin], light: Light, supe
                 _draw_skin(mesh, view, p, z, camera.centre, light, picture)
         out[top // supersampling : (top + rows) // supersampling] = box_average(picture, supersampling)
     return out
+
+
+def _fronts(vertices: np.ndarray, triangles: np.ndarray, eye: np.ndarray) -> np.ndarray:
+    """(m, 3): the triangles, those seen from behind shrunk to nothing: where the mouth's bag pierces a cheek."""
+    a, b, c = np.moveaxis(vertices[triangles], 1, 0)
+    front = (np.cross(b - a, c - a) * (eye - a)).sum(axis=1) > 0
+    return np.where(front[:, None], triangles, np.int32(0))
 
 
 def _draw_skin(

@@ -195,7 +195,7 @@ def furnished_room(rng: np.random.Generator, texel: float, collar: np.ndarray | 
         pictures = [patterns.carton(rng, grain, int(size[1] * 1.5 / texel), int(350 * 1.5 / texel)) for _ in range(3)]
         build.box(place, size, rng.uniform(0, np.pi), pictures)
     if collar is not None:
-        _add_shirt(build, collar, patterns.cloth(rng, grain, int(1400 / texel), int(2400 / texel)))
+        _add_shirt(build, collar, patterns.cloth(rng, grain, int(2600 / texel), int(4000 / texel)))
     return build.build(towards / np.linalg.norm(towards))
 
 
@@ -207,11 +207,11 @@ def _add_shirt(build: _Builder, collar: np.ndarray, picture: np.ndarray) -> None
     # height below the collar, half widths along x and z, shift along z, roundness of the super-ellipse
     rings = np.array(
         [
-            [26, reach[0] + 5, reach[2] + 5, 0, 2.0],
-            [16, reach[0] + 9, reach[2] + 9, 0, 2.0],
+            [14, reach[0] + 6, reach[2] + 6, 0, 2.0],
+            [8, reach[0] + 10, reach[2] + 10, 0, 2.0],
             [0, reach[0] + 14, reach[2] + 13, 0, 2.0],
-            [-22, reach[0] + 34, reach[2] + 22, -2, 2.0],
-            [-48, 132, 100, -8, 2.1],
+            [-18, reach[0] + 42, reach[2] + 30, -4, 2.0],
+            [-42, 138, 104, -8, 2.1],
             [-80, 182, 120, -12, 2.3],
             [-125, 214, 134, -12, 2.5],
             [-200, 226, 132, -6, 2.6],

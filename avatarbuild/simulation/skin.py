@@ -104,7 +104,7 @@ def paint(chart: Chart, person: Person) -> Surface:
         melanin += m * both[..., 0]
         blood += b * both[..., 1]
     middle, fine = fractal(q, 4.5, 2, next(seeds)), fractal(q, 1.5, 2, next(seeds))
-    melanin += spread(0.09 * middle + 0.08 * fine)
+    melanin += spread(0.10 * middle + 0.11 * fine)
     blood += spread(0.11 * fractal(q, 3.2, 2, next(seeds)) - 0.05 * fine)
     relief += spread(0.012 * fine)
 
@@ -223,7 +223,7 @@ def _brow_hairs(chart: Chart, rng: np.random.Generator) -> np.ndarray:
     """(t, t) coverage by some hundred short curved strokes along each brow, steep inside, lying flat outside."""
     t, scale = chart.size, chart.scale
     cover = np.zeros((t, t), np.float32)
-    thick, full = rng.uniform(2.6, 4.2), int(rng.uniform(420, 700))
+    thick, full = rng.uniform(3.4, 5.2), int(rng.uniform(550, 850))
     for name in ("brow_left", "brow_right"):
         line = chart_lines(chart, chart.template.contours[name])[0]
         if np.abs(chart.template.mean[chart.template.contours[name][0], 0]) > np.abs(
@@ -293,12 +293,12 @@ def _eye(offset: np.ndarray, person: Person, seed: int, grain: np.ndarray) -> np
     angle = np.arctan2(offset[:, 1], offset[:, 0])
     front = offset[:, 2] > 0
     veins = fractal(offset * [1.0, 1.0, 0.4], 3.0, 4, seed + 3)
-    white = np.array([0.72, 0.66, 0.60]) * np.exp(0.03 * grain)[:, None]
+    white = np.array([0.58, 0.53, 0.49]) * np.exp(0.03 * grain)[:, None]
     away = smoothstep(radius, 6.5, 11.5)[:, None]
     thin = np.exp(-((veins / 0.08) ** 2))[:, None] * away
     white = white * (1 - 0.5 * thin * [0.1, 0.9, 0.9]) * (1 - 0.12 * away * [0.3, 1, 1])
     spokes = fractal(np.stack([np.cos(angle) * 9, np.sin(angle) * 9, radius * 0.22], -1), 1.0, 3, seed + 5)
-    iris = person.iris * np.exp(0.45 * spokes)[:, None] * (1 + 0.9 * smoothstep(radius, 3.9, 2.5)[:, None])
+    iris = 0.6 * person.iris * np.exp(0.45 * spokes)[:, None] * (1 + 0.7 * smoothstep(radius, 3.9, 2.5)[:, None])
     iris = iris * (1 - 0.75 * smoothstep(radius, 5.0, 5.85)[:, None])
     colours = white + (iris - white) * (front * smoothstep(radius, 6.1, 5.65))[:, None]
     pupil = (front * smoothstep(radius, 2.15, 1.9))[:, None]

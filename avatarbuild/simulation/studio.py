@@ -23,13 +23,14 @@ _WRINKLE_CHART = 1024
 @dataclass(frozen=True)
 class Head:
     """
-    A subject with a skin.
+    A subject with a skin; triangles (m, 3): the template's, less what the shirt hides.
 
     shut, wide: occlusion (n,) and mean unoccluded direction (n, 3), mouth closed and open; surface as painted on
     `chart`, and as a mipmap for drawing.
     """
 
     subject: Subject
+    triangles: np.ndarray
     chart: Chart
     surface: Surface
     drawn: Mipmap
@@ -51,11 +52,10 @@ class Studio:
 
 
 def build_head(
-    template: Template, seed: int, texture: int, *, deviation: float = 1.0, shirt: tuple[np.ndarray, np.ndarray] | None
+    subject: Subject, rng: np.random.Generator, texture: int, *, shirt: tuple[np.ndarray, np.ndarray] | None
 ) -> Head:
-    """Subject and skin of a seed; `shirt`: vertices and triangles that also hide light from the neck."""
-    rng = np.random.default_rng([seed, 1])
-    subject = random_subject(template, rng, deviation=deviation)
+    """A subject's skin; `shirt`: vertices and triangles that also hide light from the neck."""
+    template = subject.template
     chart = chart_of(template, texture)
     surface = paint(chart, random_person(rng))
     wrinkles = folding.folds(chart_of(template, min(_WRINKLE_CHART, texture)), int(rng.integers(1 << 20)))
@@ -63,23 +63,33 @@ def build_head(
     shut = _occlusion(subject, subject.posed(weights), shirt)
     weights[template.expression_index["jawOpen"]] = 0.8
     wide = _occlusion(subject, subject.posed(weights), shirt)
-    return Head(subject, chart, surface, build_mipmap(surface.channels()), wrinkles, shut, wide)
+    triangles = drawn_triangles(subject)
+    return Head(subject, triangles, chart, surface, build_mipmap(surface.channels()), wrinkles, shut, wide)
 
 
 def build_studio(
-    template: Template, seed: int, texture: int, texel: float, *, deviation: float = 1.0, second_person: bool = False
+    template: Template,
+    seed: int,
+    texture: int,
+    texel: float,
+    *,
+    spread: float = 0.7,
+    deviation: float = 1.0,
+    second_person: bool = False,
 ) -> Studio:
     """The scene of a seed; `texture` texels along the side of the skin's chart, `texel` mm of the room's walls."""
+    person = np.random.default_rng([seed, 1])
+    subject = random_subject(template, person, spread=spread, deviation=deviation)
     rng = np.random.default_rng([seed, 2])
-    room = furnished_room(rng, texel, collar_of(template))
+    room = furnished_room(rng, texel, collar_of(subject))
     light = room_light(rng, room.towards_window)
     shirt = room.vertices[room.shirt], room.triangles[room.shirt[room.triangles].all(axis=1)]
     number = np.full(len(room.vertices), -1)
     number[room.shirt] = np.arange(len(shirt[0]))
     worn = (shirt[0], number[shirt[1]])
-    head = build_head(template, seed, texture, deviation=deviation, shirt=worn)
+    head = build_head(subject, person, texture, shirt=worn)
     both = np.concatenate([worn[0], head.subject.neutral])
-    faces = np.concatenate([worn[1], template.triangles + len(worn[0])])
+    faces = np.concatenate([worn[1], head.triangles + len(worn[0])])
     shirt_open = occlusion(both, faces, worn[0], room.normals[room.shirt], rays=64)[0]
     others = []
     if second_person:
@@ -87,25 +97,33 @@ def build_studio(
         turn = rng.uniform(-0.4, 0.4)
         place[:3, :3] = [[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]
         place[:3, 3] = [rng.choice([-1, 1]) * rng.uniform(300, 380), rng.uniform(-40, 80), rng.uniform(-450, -300)]
-        others.append((build_head(template, seed + 7919, min(texture, 1024), shirt=None), place))
+        neighbour = np.random.default_rng([seed, 8])
+        other = random_subject(template, neighbour, spread=spread, deviation=deviation)
+        others.append((build_head(other, neighbour, min(texture, 1024), shirt=None), place))
     return Studio(head, room, light, build_mipmap(room.albedo), shirt_open, others)
 
 
-def collar_of(template: Template) -> np.ndarray:
-    """(r, 3) mm: a ring of points around the lower end of the neck of the mean head, where the shirt begins."""
-    skin = template.mean[template.parts["skin"].vertices]
-    chin = template.landmarks(template.mean)[152, 1]
-    narrowest, ring = np.inf, skin
-    for level in np.arange(chin - 12.0, skin[:, 1].min(), -4.0):
+def collar_of(subject: Subject) -> np.ndarray:
+    """(r, 3) mm: a ring of points as wide as the subject's neck at its narrowest, below the chin, for the shirt."""
+    template = subject.template
+    skin = subject.neutral[template.parts["skin"].vertices]
+    chin = template.landmarks(subject.neutral)[152, 1]
+    best, ring = np.inf, skin
+    for level in np.arange(chin - 15.0, chin - 60.0, -4.0):
         near = skin[(np.abs(skin[:, 1] - level) < 6.0) & (skin[:, 2] < 5.0)]
-        if len(near) < 12:
-            continue
-        width = np.abs(near[:, 0]).max()
-        narrowest = min(narrowest, width)
-        if width > 1.15 * narrowest:
-            break
-        ring = near
-    return ring
+        if len(near) > 12 and np.abs(near[:, 0]).max() < best:
+            best, ring = np.abs(near[:, 0]).max(), near
+    return np.stack([ring[:, 0], np.full(len(ring), chin - 40.0), ring[:, 2]], axis=1)
+
+
+def drawn_triangles(subject: Subject) -> np.ndarray:
+    """(m, 3): the template's triangles, those under the shirt shrunk to nothing, since a shirt hangs where it likes."""
+    triangles = subject.template.triangles
+    collar, x, y = collar_of(subject), subject.neutral[:, 0], subject.neutral[:, 1]
+    below = y < collar[0, 1] - 12.0
+    aside = (np.abs(x) > np.abs(collar[:, 0]).max() + 9.0) & (y < collar[0, 1] + 14.0)
+    hidden = (below | aside)[triangles].all(axis=1)
+    return np.where(hidden[:, None], np.int32(0), triangles)
 
 
 def surroundings(studio: Studio, light: Light) -> Lit:
@@ -152,7 +170,7 @@ def posed_head(head: Head, weights: np.ndarray, pose: np.ndarray | None = None) 
         vertex_tangents(vertices, template),
         bent,
         open_,
-        template.triangles,
+        head.triangles,
         template.uv,
         template.uv_triangles,
         head.drawn,
@@ -186,8 +204,8 @@ def _occlusion(
     subject: Subject, vertices: np.ndarray, shirt: tuple[np.ndarray, np.ndarray] | None
 ) -> tuple[np.ndarray, np.ndarray]:
     triangles = subject.template.triangles
-    hiding, faces = vertices, triangles
+    hiding, faces = vertices, drawn_triangles(subject)
     if shirt is not None:
         hiding = np.concatenate([vertices, shirt[0]])
-        faces = np.concatenate([triangles, shirt[1] + len(vertices)])
+        faces = np.concatenate([faces, shirt[1] + len(vertices)])
     return occlusion(hiding, faces, vertices, vertex_normals(vertices, triangles))

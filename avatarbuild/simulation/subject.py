@@ -57,10 +57,12 @@ class Subject:
         return x
 
 
-def random_subject(template: Template, rng: np.random.Generator, *, deviation: float = 1.0) -> Subject:
-    """Coefficients ~ N(0, 1); `deviation` scales all that leaves the template's space (1: about 0.8 mm)."""
+def random_subject(
+    template: Template, rng: np.random.Generator, *, spread: float = 0.7, deviation: float = 1.0
+) -> Subject:
+    """Coefficients ~ N(0, spread^2); `deviation` scales all that leaves the template's space (1: about 0.8 mm)."""
     p = len(template.identity)
-    coefficients = np.clip(rng.standard_normal(p), -2.2, 2.2)
+    coefficients = spread * np.clip(rng.standard_normal(p), -2.2, 2.2)
     neutral = template.neutral(coefficients)
     eyes = template.eye_positions(coefficients)
     still = _rigid_share(template)

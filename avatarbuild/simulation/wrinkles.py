@@ -51,10 +51,10 @@ class Wrinkles:
 
 def gains(weights: dict[str, float]) -> dict[str, float]:
     """Group -> gain 0 … about 1.2, smooth in the weights and nil at rest."""
-    found: dict[str, float] = {}
-    for name, shapes in GROUPS.items():
+    found = {}
+    for group, shapes in GROUPS.items():
         total = sum(share * max(weights.get(shape, 0.0), 0.0) for shape, share in shapes.items())
-        found[name] = 1.2 * float(smoothstep(np.array(total), 0.05, 1.1))
+        found[group] = 1.2 * float(smoothstep(np.array(total), 0.05, 1.1))
     return found
 
 
