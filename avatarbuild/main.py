@@ -130,7 +130,7 @@ def run(
     changes = _settings(pairs or [])
     found = open_capture(capture)
     project = Project(output if output is not None else default_project(capture))
-    with project.lock(), _log_into(project.log_file):
+    with project.lock(), _log_into(project.log_file), _native_chatter_into(project.log_file):
         log.info("avatarbuild %s: run %s", __version__, what)
         kept = project.settings()
         quality = quality or kept.get("quality", "standard")
@@ -271,6 +271,30 @@ def _existing(folder: Path) -> Project:
     if not (folder / "project.toml").is_file():
         raise InputError(f"{folder} holds no project.toml: name a project folder made by `avatarbuild run`")
     return Project(folder)
+
+
+@contextlib.contextmanager
+def _native_chatter_into(file: Path) -> Iterator[None]:
+    """Sends what compiled libraries write to the process's standard error into a file; our own lines stay visible."""
+    try:
+        ours = sys.stderr.fileno() == 2
+    except (AttributeError, OSError, ValueError):
+        ours = False
+    if not ours:
+        yield
+        return
+    sys.stderr.flush()
+    kept = os.dup(2)
+    with file.open("ab") as log_file, open(kept, "w", encoding=sys.stderr.encoding, closefd=False) as terminal:
+        os.dup2(log_file.fileno(), 2)
+        screen.file = terminal
+        try:
+            yield
+        finally:
+            terminal.flush()
+            os.dup2(kept, 2)
+            os.close(kept)
+            screen.file = sys.stderr
 
 
 @contextlib.contextmanager

@@ -146,6 +146,10 @@ class Template:
         if coefficients is None:
             return self.mean.copy()
         a = np.asarray(coefficients, np.float64)
+        if self.subdivision is not None and self.cage_mean is not None and self.cage_identity is not None:
+            # the cage is half the size, and this sum is bound by memory
+            cage = self.cage_identity[: len(a)].reshape(len(a), self.cage_mean.size)
+            return self.subdivision @ (self.cage_mean + (a @ cage).reshape(-1, 3))
         return self.mean + (a @ self.identity[: len(a)].reshape(len(a), self.mean.size)).reshape(-1, 3)
 
     def expressions_at(self, coefficients: np.ndarray | None = None) -> np.ndarray:

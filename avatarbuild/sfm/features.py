@@ -56,7 +56,6 @@ def extract(images: Iterator[np.ndarray], most: int) -> Iterator[Features]:
     SIFT features [Lowe 2004] of grey uint8 images (h, w), largest scales first, at most `most` an image; images are
     processed on all cores, the result does not depend on their number.
     """
-    pycolmap.logging.minloglevel = 2
     workers = cores()
     with concurrent.futures.ThreadPoolExecutor(workers) as pool:
         waiting: list[concurrent.futures.Future[Features]] = []

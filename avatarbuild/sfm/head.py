@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import pycolmap
 
 from avatarbuild.sfm.features import Features
+from avatarbuild.sfm.mapping import adjust
 
 _GROW = 1.15  # the face's outline about its middle: ears and some hair belong to the head as well
 _LEAST_TRANSFERRED = 12
-_LEAST_TO_TELL = 200  # matches
-_LOW_SHARE, _HIGH_ERROR = 0.75, 1.6
+_LEAST_POINTS = 60
+_GAIN = 0.8
 
 
 def head_features(
@@ -61,51 +63,46 @@ def _inside(points: np.ndarray, outline: np.ndarray) -> np.ndarray:
     return (side * turn >= 0).all(axis=1)
 
 
-class Agreement(NamedTuple):
+@dataclass(frozen=True)
+class Settled:
     """
-    How well a model explains the head and the room: the share of matches whose two features observe one point, and the
-    mean reprojection error (pixels) of the points. NaN where
-    there are too few matches to tell.
+    A model of the head alone: cameras adjusted to its points, which the whole model had `before` and this one has
+    `after` pixels from where they are seen, on average.
     """
 
-    head_share: float
-    room_share: float
-    head_error: float
-    room_error: float
+    model: pycolmap.Reconstruction
+    before: float
+    after: float
 
     @property
     def head_moved(self) -> bool:
         """
-        Whether the head turned against the room. Where it turned a little, its points fit badly; where it turned much,
-        they are torn apart. Two photos of a head that turns about the axis round which the camera goes agree with each
-        other whatever it does; three do not, so that two-view geometries tell nothing.
+        Whether the head turned against the room between the photos. A still head gains next to nothing from cameras of
+        its own. Two-view geometries cannot tell: a head that turns about the axis round which the camera goes keeps to
+        the epipolar lines.
         """
-        return self.head_share < _LOW_SHARE * self.room_share or self.head_error > _HIGH_ERROR * self.room_error
+        return self.after < _GAIN * self.before
 
 
-def agreement(
-    observed: list[np.ndarray | None],
-    errors: dict[int, float],
-    heads: list[np.ndarray],
-    matches: dict[tuple[int, int], np.ndarray],
-) -> Agreement:
+def settle(model: pycolmap.Reconstruction, heads: dict[str, np.ndarray]) -> Settled | None:
     """
-    observed[i] (n_i,) the point that each feature of photo i observes, -1 for none; None for photos not placed.
-    errors: point -> its mean reprojection error. heads[i] (n_i,) bool; matches (p, 2) of pairs.
+    Keeps the points of a model that only head features observe, and adjusts cameras and points to them, lenses fixed.
+
+    heads: image name -> (n,) bool of its features. None where the model has too few such points to tell.
     """
-    explained, total, misfit = np.zeros(2), np.zeros(2), np.zeros(2)
-    for (i, j), pair in matches.items():
-        first, second = observed[i], observed[j]
-        if first is None or second is None:
-            continue
-        a, b = pair[:, 0], pair[:, 1]
-        same = (first[a] == second[b]) & (first[a] >= 0)
-        for number, side in enumerate((heads[i][a] & heads[j][b], ~heads[i][a] & ~heads[j][b])):
-            explained[number] += np.count_nonzero(same & side)
-            total[number] += np.count_nonzero(side)
-            misfit[number] += sum(errors[int(point)] for point in first[a[same & side]])
-    enough = (total >= _LEAST_TO_TELL) & (explained >= _LEAST_TO_TELL / 10)
-    share, error = (
-        np.where(enough, of / np.maximum(by, 1), np.nan) for of, by in ((explained, total), (misfit, explained))
-    )
-    return Agreement(float(share[0]), float(share[1]), float(error[0]), float(error[1]))
+    votes: dict[int, list[bool]] = {}
+    for number in model.reg_image_ids():
+        image = model.images[number]
+        for point, on_head in zip(image.points2D, heads[image.name]):
+            if point.has_point3D():
+                votes.setdefault(point.point3D_id, []).append(bool(on_head))
+    kept = [number for number, on_head in votes.items() if all(on_head)]
+    if len(kept) < _LEAST_POINTS:
+        return None
+    alone = pycolmap.Reconstruction(model)
+    for number in set(votes) - set(kept):
+        alone.delete_point3D(number)
+    before = float(np.mean([alone.points3D[number].error for number in kept]))
+    adjust(alone, lens=False)
+    alone.update_point_3d_errors()
+    return Settled(alone, before, float(np.mean([alone.points3D[number].error for number in kept])))

@@ -85,7 +85,6 @@ def map_photos(
     has cameras[camera_of[i]]. `tell` is called after each placed photo. Returns the models, largest first; the first
     one has all its features and OPENCV lenses.
     """
-    pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
     with tempfile.TemporaryDirectory() as folder:
         skeleton, full = str(Path(folder) / "skeleton.db"), str(Path(folder) / "full.db")
         _write_database(Path(skeleton), names, features, cameras, camera_of, pairs, _SKELETON)
@@ -95,7 +94,7 @@ def map_photos(
         models = sorted(found.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
         if models:
             _free_lenses(models[0])
-            _adjust(models[0])
+            adjust(models[0])
             freed = [models[0].cameras[number] for number in range(1, len(cameras) + 1)]
             _write_database(Path(full), names, features, freed, camera_of, pairs, None)
             models[0] = pycolmap.triangulate_points(
@@ -103,7 +102,7 @@ def map_photos(
             )
             for furthest in (_FAR, _NEAR):
                 _drop_outliers(models[0], furthest)
-                _adjust(models[0])
+                adjust(models[0])
             _drop_outliers(models[0], _NEAR)
     return models
 
@@ -119,9 +118,11 @@ def _free_lenses(model: pycolmap.Reconstruction) -> None:
         camera.params = [f, f, cx, cy, k, 0.0, 0.0, 0.0]
 
 
-def _adjust(model: pycolmap.Reconstruction) -> None:
+def adjust(model: pycolmap.Reconstruction, lens: bool = True) -> None:
+    """Bundle adjustment with a soft L1 loss, in place; lenses are adjusted too unless `lens` is false."""
     options = pycolmap.BundleAdjustmentOptions()
     options.print_summary = False
+    options.refine_focal_length = options.refine_extra_params = lens
     options.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
     options.ceres.solver_options.num_threads = 1
     options.ceres.solver_options.function_tolerance = 1e-7

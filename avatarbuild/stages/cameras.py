@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 
 LEAST_MATCHES = 15
 LEAST_PLACED = 3
-BETTER = 0.9  # the head's own features are preferred where they fit it this much more closely
+ENOUGH = 0.8  # of the photos must be placed by the head's features alone; else the whole set's cameras are adjusted
 DEFAULT_FOCAL = 1.2  # times the longer side, COLMAP's own guess where nothing is known
 TRUSTED_PRESENCE, TRUSTED_YAW = 0.9, 60.0
 
@@ -46,7 +46,7 @@ def run(capture: Capture, options: CamerasOptions, progress: Progress) -> Camera
             task.advance()
     lenses, camera_of = _lenses(capture)
     matches = _match(features, options, progress)
-    models, which, agreement = _map(capture, options, features, matches, (lenses, camera_of), progress, warnings)
+    models, which, settled = _map(capture, options, features, matches, (lenses, camera_of), progress, warnings)
     if not models or models[0].num_reg_images() < LEAST_PLACED:
         placed_count = models[0].num_reg_images() if models else 0
         raise InputError(
@@ -67,7 +67,7 @@ def run(capture: Capture, options: CamerasOptions, progress: Progress) -> Camera
         "reprojection_px": round(model.compute_mean_reprojection_error(), 3),
         "focal_px": [round(model.cameras[i].mean_focal_length(), 2) for i in sorted(model.cameras)],
         "features": which,
-        "head_and_room": None if agreement is None else [round(v, 3) for v in agreement],
+        "head_px": None if settled is None else [round(settled.before, 3), round(settled.after, 3)],
     }
     _warn_of_focal(lenses, model, warnings)
     scale: dict[str, Any] = {"source": "none", "relative_sd": None}
@@ -157,8 +157,8 @@ def _map(
     lenses: tuple[list[pycolmap.Camera], np.ndarray],
     progress: Progress,
     warnings: list[str],
-) -> tuple[list[pycolmap.Reconstruction], str, head.Agreement | None]:
-    """The models, which features they are made of ('all' or 'head'), and the agreement of head and room."""
+) -> tuple[list[pycolmap.Reconstruction], str, head.Settled | None]:
+    """The models, which features they are made of ('all' or 'head'), and how the head fits."""
     names = [f"{name}.jpg" for name in capture.photos.names]
 
     def place(pairs: Verified, label: str) -> list[pycolmap.Reconstruction]:
@@ -176,46 +176,14 @@ def _map(
     if options.features == "head":
         return place_by_head(), "head", None
     by_all = place(_verify(features, matches, lenses), "placing photos")
-    if not by_all:
-        return by_all, "all", None
-    agreement = _agreement(by_all[0], names, features, heads, matches)
-    if options.features == "all" or not agreement.head_moved:
-        return by_all, "all", agreement
-    told = "the head turned against the room between the photos"
+    settled = head.settle(by_all[0], dict(zip(names, heads))) if by_all else None
+    if options.features == "all" or settled is None or not settled.head_moved:
+        return by_all, "all", settled
+    warnings.append("the head turned against the room between the photos: the head's own features place the cameras")
     by_head = place_by_head()
-    if by_head and by_head[0].num_reg_images() >= max(LEAST_PLACED, by_all[0].num_reg_images() / 2):
-        better = _agreement(by_head[0], names, features, heads, matches)
-        tighter = better.head_error < BETTER * agreement.head_error
-        if better.head_share > agreement.head_share / BETTER or (tighter and better.head_share > agreement.head_share):
-            warnings.append(f"{told}: the head's own features place the cameras")
-            return by_head, "head", agreement
-    warnings.append(f"{told}, and its own features place the cameras no better: for more accuracy keep still")
-    return by_all, "all", agreement
-
-
-def _agreement(
-    model: pycolmap.Reconstruction,
-    names: list[str],
-    features: list[Features],
-    heads: list[np.ndarray],
-    matches: dict[tuple[int, int], np.ndarray],
-) -> head.Agreement:
-    errors = {number: model.points3D[number].error for number in model.point3D_ids()}
-    return head.agreement(_observed(model, names, features), errors, heads, matches)
-
-
-def _observed(model: pycolmap.Reconstruction, names: list[str], features: list[Features]) -> list[np.ndarray | None]:
-    """For each photo, the number of the point that each of its features observes, -1 for none; None if not placed."""
-    images = {model.images[i].name: model.images[i] for i in model.reg_image_ids()}
-    observed: list[np.ndarray | None] = []
-    for name, found in zip(names, features):
-        if name not in images:
-            observed.append(None)
-            continue
-        points = images[name].points2D
-        number = [points[n].point3D_id if points[n].has_point3D() else -1 for n in range(len(found))]
-        observed.append(np.array(number, np.int64))
-    return observed
+    if by_head and by_head[0].num_reg_images() >= ENOUGH * by_all[0].num_reg_images():
+        return by_head, "head", settled
+    return [settled.model], "head", settled
 
 
 def _colour(model: pycolmap.Reconstruction, capture: Capture, names: list[str]) -> None:
