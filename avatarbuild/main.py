@@ -157,6 +157,9 @@ def run(
         except InputError as caught:
             error = caught
             log.error("%s", caught)
+        except KeyboardInterrupt:
+            screen.print("stopped: finished stages are kept, the same command goes on from there")
+            raise
         if as_json:
             answer = {"version": JSON_VERSION, "project": str(project.root), "stages": ran}
             answer["error"] = None if error is None else str(error)
@@ -267,6 +270,25 @@ def check(
     screen.print(f"picture of the coverage: {place}")
 
 
+@app.command()
+def simulate(
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="CAPTURE", help="New folder for the capture.")],
+    seed: Annotated[int, typer.Option(help="Another number, another person.")] = 0,
+    truth: Annotated[Path | None, typer.Option(help="Folder for the ground truth; default CAPTURE.truth.")] = None,
+    pairs: Annotated[list[str] | None, typer.Option("--set", help="option=value, like photos=12.")] = None,
+) -> None:
+    """Render a capture from the head template, with its ground truth."""
+    from avatarbuild.simulation import capture as simulation
+
+    chosen = {}
+    for pair in pairs or []:
+        name, _, text = pair.partition("=")
+        chosen[name.strip()] = all_options.parse_field(simulation.SimulationOptions, name.strip(), text.strip())
+    options_ = simulation.SimulationOptions(**chosen)
+    place = simulation.simulate(output, seed, options_, truth_folder=truth, progress=Bars())
+    screen.print(f"capture: {output}, truth: {place}")
+
+
 def _existing(folder: Path) -> Project:
     if not (folder / "project.toml").is_file():
         raise InputError(f"{folder} holds no project.toml: name a project folder made by `avatarbuild run`")
@@ -323,8 +345,7 @@ def run_program() -> None:
     except InputError as error:
         screen.print(f"[red]error[/] {rich.markup.escape(str(error))}", soft_wrap=True)
         code = BAD_INPUT
-    except (KeyboardInterrupt, typer.Abort, EOFError):
-        screen.print("stopped: finished stages are kept, the same command goes on from there")
+    except (KeyboardInterrupt, typer.Abort):
         code = STOPPED
     except typer.TyperException as error:  # a misspelt verb or flag
         error.show() if hasattr(error, "show") else screen.print(f"[red]error[/] {error}")

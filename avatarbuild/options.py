@@ -120,18 +120,27 @@ def stage_options(quality: str = "standard", settings: dict[str, str] | None = N
         stage, _, name = key.partition(".")
         if stage not in STAGE_OPTIONS:
             raise InputError(f"no stage '{stage}' in option {key}, {nearest(stage, list(STAGE_OPTIONS))}")
-        fields = {f.name: f for f in dataclasses.fields(STAGE_OPTIONS[stage])}
-        if name not in fields:
-            hint = nearest(name, list(fields)).replace("did you mean '", f"did you mean '{stage}.")
-            raise InputError(f"no option '{key}', {hint}")
-        about = fields[name].metadata
-        value = _parse(key, text, fields[name].default, about["least"])
-        if isinstance(value, str):
-            words = [w.strip() for w in about["unit"].split(",")]
-            if value not in words:
-                raise InputError(f"option {key} is '{value}', {nearest(value, words)}")
-        values[stage][name] = value
+        values[stage][name] = parse_field(STAGE_OPTIONS[stage], name, text, f"{stage}.")
     return {stage: kind(**values[stage]) for stage, kind in STAGE_OPTIONS.items()}
+
+
+def parse_field(kind: type, name: str, text: str, prefix: str = "") -> Any:
+    """
+    The value of an options dataclass's field from the user's text.
+
+    Raises InputError for an unknown field (naming the nearest real one) and for a value of the wrong kind.
+    """
+    fields = {f.name: f for f in dataclasses.fields(kind)}
+    if name not in fields:
+        hint = nearest(name, list(fields)).replace("did you mean '", f"did you mean '{prefix}")
+        raise InputError(f"no option '{prefix}{name}', {hint}")
+    about = fields[name].metadata
+    value = _parse(prefix + name, text, fields[name].default, about["least"])
+    if isinstance(value, str):
+        words = [w.strip() for w in about["unit"].split(",")]
+        if value not in words:
+            raise InputError(f"option {prefix}{name} is '{value}', {nearest(value, words)}")
+    return value
 
 
 def described() -> list[dict[str, Any]]:

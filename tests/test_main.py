@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import jsonschema
 import pytest
@@ -69,9 +70,9 @@ def test_bad_files_among_good_ones_are_left_out(
     stage = answer["stages"][0]
     assert stage["figures"]["photos"] >= 9
     told = " ".join(stage["warnings"])
+    # of the same picture in several formats one is read, so names are compared without their endings
     for what, path in made.items():
-        if "truncated" in what or "text" in what or "corrupt" in what:
-            assert path.name in told, what
+        assert f"/{path.stem}." in told, what
     stamp = json.loads((project.default_project(folder) / "01-capture" / "stamp.json").read_text())
     valid("stamp", stamp)
 
@@ -140,7 +141,7 @@ def test_a_disk_without_space(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     texture_photos(tmp_path / "me", 8)
-    monkeypatch.setattr(project.shutil, "disk_usage", lambda _: (10**9, 10**9, 10**6))
+    monkeypatch.setattr(project.shutil, "disk_usage", lambda _: SimpleNamespace(free=10**6))
     assert call(monkeypatch, "run", tmp_path / "me") == 2
     assert "are needed" in one_line(capsys)
 
@@ -164,8 +165,9 @@ def test_stopping_by_the_keyboard(
     def stopped(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(main, "_existing", stopped)
-    assert call(monkeypatch, "status", tmp_path) == 130
+    texture_photos(tmp_path / "me", 8)
+    monkeypatch.setattr(main.pipeline, "run", stopped)
+    assert call(monkeypatch, "run", tmp_path / "me") == 130
     assert "goes on" in capsys.readouterr().err
 
 
@@ -184,6 +186,14 @@ def test_status_and_clean(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
     assert "stale" in capsys.readouterr().out
     assert call(monkeypatch, "clean", place, "--stage", "capture") == 0
     assert not (place / "01-capture").exists()
+
+
+def test_simulate_checks_its_options(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(monkeypatch, "simulate", "-o", tmp_path / "new", "--set", "fotos=3") == 2
+    assert "did you mean 'photos'" in one_line(capsys)
+    assert not (tmp_path / "new").exists()
 
 
 def test_options_and_version(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

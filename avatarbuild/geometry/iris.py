@@ -68,7 +68,7 @@ def _slope(window: np.ndarray, circles: np.ndarray, h: float = 1.0) -> np.ndarra
 def _circle(middle: np.ndarray, radii: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """(3,) the circle through points given about a middle: r_a = r + dx cos a + dy sin a, by Huber's least squares."""
     a = np.stack([np.cos(angles), np.sin(angles), np.ones_like(angles)], axis=1)
-    weight = np.ones(len(radii))
+    weight: np.ndarray = np.ones(len(radii))
     x = np.zeros(3)
     for _ in range(8):
         x = np.linalg.lstsq(a * weight[:, None], radii * weight, rcond=None)[0]
