@@ -67,9 +67,9 @@ class PointsOptions:
     sources: int = option(4, "photos", "Source photos each photo is matched against.", least=2)
     window: int = option(5, "pixels", "Half width of the matching window.", least=2)
     min_views: int = option(3, "photos", "Photos that must agree on a point, the reference among them.", least=2)
-    tolerance: float = option(1.0, "pixels", "Largest distance of the surfaces of two photos that agree.", least=0.1)
+    tolerance: float = option(0.8, "pixels", "Largest distance of the surfaces of two photos that agree.", least=0.1)
     spread: float = option(8.0, "degrees", "Angle that the photos that agree on a point must span.", least=0.0)
-    doubt: float = option(0.3, "ratio", "Photos that see through a point, allowed for each that agrees.", least=0.0)
+    doubt: float = option(0.2, "ratio", "Photos that see through a point, allowed for each that agrees.", least=0.0)
     least_piece: int = option(200, "points", "Smaller separate pieces of the cloud are dropped.", least=1)
     eyeballs: bool = option(False, "", "Keep the points between the lids; eyes shine and turn between photos.")
 

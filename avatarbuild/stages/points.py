@@ -38,6 +38,7 @@ BLURRED = 0.75  # photos of less relative sharpness are sources only where there
 WORST_COST = 0.6  # 1 - correlation, of a pixel that may become a point
 LEAST_FACING = 0.2  # cosine between normal and ray, 78 degrees
 
+LASHES = 1.2  # the eye's outline is enlarged by this: lashes stand before the lids and are no surface
 # the lid rims among the 478 landmarks, the subject's right and left eye
 EYE_RIMS = (
     [33, 7, 163, 144, 145, 153, 154, 155, 133, 173, 157, 158, 159, 160, 161, 246],
@@ -346,7 +347,7 @@ def worth_keeping(
 def on_eyeballs(
     points: np.ndarray, normals: np.ndarray, views: list[StereoView], capture: Capture, cameras: Cameras
 ) -> np.ndarray:
-    """(n,) bool: points that show between the lids."""
+    """(n,) bool: points that show between the lids, lashes included."""
     photos = capture.photos
     model = cameras.model
     camera_of = {image.name: model.cameras[image.camera_id] for image in model.images.values()}
@@ -355,6 +356,7 @@ def on_eyeballs(
         rims = photos.landmarks[v.photo, np.array(EYE_RIMS), :2]
         if not photos.trusted(0.9, 45.0)[v.photo] or not np.isfinite(rims).all():
             continue
+        rims = rims.mean(axis=1, keepdims=True) * (1.0 - LASHES) + LASHES * rims
         rays = np.asarray(camera_of[v.name].cam_from_img(rims.reshape(-1, 2))).reshape(*rims.shape)
         outlines.append(list(rays @ v.K[:2, :2].T + v.K[:2, 2]))
         P.append(v.K @ np.hstack([v.R, v.t[:, None]]))
