@@ -100,8 +100,10 @@ def judge(
             _light(photos, trusted),
             _expression(photos, trusted),
             _eyes(photos, trusted),
+            _others(photos, "photos"),
+            _same_person(photos),
         ]
-    findings += [_others(photos, "photos"), _same_person(photos), _lens(photos), _copies(folder)]
+    findings += [_lens(photos), _copies(folder)]
     if frames is None:
         advice = "film 20 to 60 s of expressions from the front; without it the avatar has generic expressions"
         return [*findings, _finding("video", "none with a face", USABLE, advice, seconds=0.0)]
