@@ -127,13 +127,13 @@ def _skin(recipe: SimpleNamespace, labels: np.ndarray, say: Callable[[str], None
     right = lids.LidBand(left.ring[mirror], mirror[left.contact], left.column[mirror], left.spread)
     masks = regions.regions(mean, fine.triangles, labels, [left, right], mouth, eyes[0], mirror)
     lines = regions.contours(mean, [left, right], mouth, masks["brows"], eyes[0])
-    units, posed = _expressions(recipe, mean, left, mouth, eyes[0][0], mirror)
+    units, posed = _expressions(recipe, mean, left, mouth, eyes[0][0], mirror, (components, eyes[1][:, 0]))
     cages = (recipe.mean[:rows] - origin, recipe.components[:, :rows], units)
     fields = {"mean": mean, "identity": components, "expressions": posed, "cages": cages, "mirror": mirror}
     return SimpleNamespace(**fields, origin=origin, regions=masks, contours=lines), eyes
 
 
-def _expressions(recipe, mean, left, mouth, centre, mirror) -> tuple[np.ndarray, np.ndarray]:
+def _expressions(recipe, mean, left, mouth, centre, mirror, people) -> tuple[np.ndarray, np.ndarray]:
     """(e, c, 3) cleaned on the cage, and (e, n, 3) with lids and lips refitted on the fine skin."""
     cage, names = recipe.cage, recipe.names
     units = expressions.face_units(recipe.source, cage.matrix, cage.mirror, names)[:, : cage.skin]
@@ -152,8 +152,9 @@ def _expressions(recipe, mean, left, mouth, centre, mirror) -> tuple[np.ndarray,
     change = np.zeros_like(posed)
     for i, name in enumerate(names):
         if np.abs(posed[i, left.contact]).max() > 0.02:
-            fit = lids.close_lids if name == "eyeBlinkLeft" else lids.fit_expression
-            change[i] = fit(mean, posed[i], left, centre) - posed[i]
+            fitted = (mean, posed[i], left, centre)
+            closing = name == "eyeBlinkLeft"
+            change[i] = (lids.close_lids(*fitted, *people) if closing else lids.fit_expression(*fitted)) - posed[i]
     for i, name in enumerate(names):
         posed[i] += change[i] + change[names.index(expressions.other_side(name))][mirror] * FLIP
     for i, name in enumerate(names):

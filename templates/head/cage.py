@@ -1,8 +1,8 @@
 """The cage: which quads of the base mesh are the head, and a shoulder rim cut along a geodesic isoline.
 
 Below the jaw the quads form closed loops around the neck. The columns across the loops are resampled so that their last
-vertices lie at one geodesic distance from the first loop. A cage vertex is a linear combination of base vertices, so that
-every target carries over.
+vertices lie at one geodesic distance from the first loop. A cage vertex is a linear combination of base vertices, so
+that every target carries over.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ def find(template, colours: np.ndarray, mirror478: np.ndarray) -> np.ndarray:
 def _carry(
     mean: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, skin: int, view: View, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Detected pixels to points of the mean under them (478, 3), and weights (478,): the cosine to the view, squared."""
+    """Detected pixels to points (478, 3) of the mean under them, and weights (478,): the squared cosine to the view."""
     seen, _, _ = look(vertices, triangles, view)
     on_skin = (seen.triangle >= 0) & (seen.triangle < skin)
     distance, nearest = cv2.distanceTransformWithLabels(

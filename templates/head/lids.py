@@ -16,15 +16,20 @@ from parts import eyeball_radius
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-CONTACT, CREST, FREE, OUTER = 4, 7, 16, 22
+CONTACT, CREST, MARGIN, HELD, FREE, OUTER = 4, 7, 8, 10, 20, 22
+SOFT = 2.0  # mm over which that bulge is smoothed
+BULGING = 15  # the last ring of the closed upper lid that bulges for the eye
 DEPTHS = {3: 0.9, 2: 1.8, 1: 2.6, 0: 3.2}  # mm below the eye's surface of the rings inside the lid
 SOCKET_DEPTH = 3.6
-CLEARANCE = 1.0  # mm of lid skin over the eye
+CLEARANCE, CLOSED_CLEARANCE = 1.0, 1.3  # mm of lid skin over the eye, open and closed
+BLEND = (8, 20)  # rings between which the closed lid passes from its own shape to the source's
+LEAST = 0.7  # mm of skin over the eye that the identity's variation leaves
 SAMPLES, SEED = 1500, 5
 RAISE = 0.4  # mm of the eyeball's centre above the middle of the opening
-SHRINK = 0.72  # of the identity's sliding of the lids about the eye; the error off the sphere goes with its square
-OVERLAP = 1.7  # mm by which the closed upper lid passes the lower lid's line
-BULGE = 0.3  # mm of hover of the closed upper lid, so that half a blink cuts less into the eye
+SHRINK = 0.6  # of the identity's sliding of the lids about the eye; the error off the sphere goes with its square
+CLOSED_SAMPLES, SPARE = 300, 0.05  # heads that set the closed lids' bulge, mm left between their lids and eyes
+OVERLAP = 2.2  # mm by which the closed upper lid passes the lower lid's line
+BULGE = 0.5  # mm of hover of the closed upper lid, so that half a blink cuts less into the eye
 
 
 @dataclass(frozen=True)
@@ -65,19 +70,18 @@ def lid_band(vertices: np.ndarray, triangles: np.ndarray, on_socket: np.ndarray)
 
 
 def _spread(graph: sp.csr_matrix, ring: np.ndarray, contact: np.ndarray, column: np.ndarray) -> sp.csr_matrix:
-    """(n, k): 1 on each contact vertex and on the rings inside along its column, biharmonic outside, 0 far away."""
+    """(n, k): 1 along a contact vertex's column up to ring MARGIN, biharmonic outside, 0 far away."""
     n, k = len(ring), len(contact)
     degree = np.asarray(graph.sum(axis=1)).ravel()
     laplacian = sp.identity(n) - sp.diags(1 / np.maximum(degree, 1)) @ graph
     bilaplacian = (laplacian.T @ laplacian).tocsr()
-    near = np.flatnonzero((ring > CONTACT) & (ring <= OUTER - 2))
+    band = np.flatnonzero((ring <= MARGIN) & (ring >= -1))
+    carried = sp.csr_matrix((np.ones(len(band)), (band, column[band])), shape=(n, k))
+    near = np.flatnonzero((ring > MARGIN) & (ring <= OUTER - 2))
+    right = -(bilaplacian[near] @ carried).toarray()
     weights = sp.lil_matrix((n, k))
-    right = -bilaplacian[near][:, contact].toarray()
     weights[near] = splu(bilaplacian[near][:, near].tocsc()).solve(right)
-    band = np.flatnonzero((ring <= CONTACT) & (ring >= -1))
-    for v in band:
-        weights[v, column[v]] = 1
-    return weights.tocsr()
+    return (weights.tocsr() + carried).tocsr()
 
 
 def surface(points: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -143,11 +147,15 @@ def fit_identity(
     depth = np.array([DEPTHS.get(int(k), SOCKET_DEPTH) for k in band.ring[deep]])
     corrections[:, deep] += linear((radius - depth - r)[..., None] * direction)
     # the lid's thickness: the same for everybody at the margin, free again at ring FREE
-    skin = np.flatnonzero((band.ring > CONTACT) & (band.ring < FREE))
+    skin = np.flatnonzero((band.ring > CONTACT) & (band.ring < OUTER))
     moved = mean[skin] + corrections[0][skin] + np.tensordot(a, components[:, skin] + corrections[1:, skin], 1)
     r, direction, radius = surface(moved, centre)
     usual = np.maximum((r - radius).mean(axis=0), floor(band.ring[skin]))
-    hold = np.clip((FREE - band.ring[skin]) / (FREE - CREST), 0, 1)
+    hold = np.clip((FREE - band.ring[skin]) / (FREE - HELD), 0, 1)
+    # and nowhere so uneven among people that the eye shows through
+    lowest = np.quantile(r - radius, 0.002, axis=0)
+    room = np.where(lowest < LEAST, (usual - LEAST) / np.maximum(usual - lowest, 1e-9), 1)
+    hold = np.where(direction[..., 2].mean(axis=0) > 0, np.maximum(hold, 1 - np.clip(room, 0, 1)), 0)
     corrections[:, skin] += linear((hold * (radius + usual - r))[..., None] * direction)
     return corrections[0], corrections[1:], centres[0], centres[1:]
 
@@ -163,10 +171,10 @@ def fit_expression(mean: np.ndarray, delta: np.ndarray, band: LidBand, centre: n
     at = posed[band.contact]
     r, direction, radius = surface(at, centre)
     moved = posed + band.spread @ ((radius + 0.05 - r)[:, None] * direction)
-    return _clear(moved, mean, band, centre) - mean
+    return _clear(moved, band, centre, CLEARANCE) - mean
 
 
-def _clear(posed: np.ndarray, mean: np.ndarray, band: LidBand, centre: np.ndarray) -> np.ndarray:
+def _clear(posed: np.ndarray, band: LidBand, centre: np.ndarray, clearance: float) -> np.ndarray:
     """Set the inner rings to their depths and lift lid skin that comes too near the eye."""
     out = posed.copy()
     for k, depth in {**DEPTHS, -1: SOCKET_DEPTH}.items():
@@ -175,14 +183,23 @@ def _clear(posed: np.ndarray, mean: np.ndarray, band: LidBand, centre: np.ndarra
         out[at] = centre + (radius - depth)[:, None] * direction
     skin = np.flatnonzero((band.ring > CONTACT) & (band.ring < OUTER))
     r, direction, radius = surface(out[skin], centre)
-    front = direction[:, 2] > 0.2
-    lift = np.where(front, np.maximum(0, radius + floor(band.ring[skin]) - r), 0)
+    lift = np.where(
+        direction[:, 2] > 0.2, np.maximum(0, radius + clearance * floor(band.ring[skin]) / CLEARANCE - r), 0
+    )
     out[skin] += lift[:, None] * direction
     return out
 
 
-def close_lids(mean: np.ndarray, delta: np.ndarray, band: LidBand, centre: np.ndarray) -> np.ndarray:
-    """(n, 3) blink: the upper lid's contact line comes down to the lower lid's line and passes it by OVERLAP."""
+def close_lids(
+    mean: np.ndarray,
+    delta: np.ndarray,
+    band: LidBand,
+    centre: np.ndarray,
+    components: np.ndarray,
+    basis: np.ndarray,
+) -> np.ndarray:
+    """(n, 3) blink: the upper lid's contact line comes down to the lower lid's line and passes it by OVERLAP; the
+    lids' skin bulges as much as keeps the eye of hardly any identity from showing through."""
     contact = mean[band.contact]
     posed = contact + delta[band.contact]
     low, high = contact[:, 0].min(), contact[:, 0].max()
@@ -193,17 +210,34 @@ def close_lids(mean: np.ndarray, delta: np.ndarray, band: LidBand, centre: np.nd
     order = lower[np.argsort(posed[lower, 0])]
     line = np.polynomial.Polynomial.fit(posed[order, 0], posed[order, 1], 6)
     taper = np.clip(4 * share * (1 - share), 0, 1) ** 0.5
-    target = posed.copy()
-    # both lids keep the width they have open: sliding sideways is what frays the outer corner
-    target[:, 0] = contact[:, 0] + 0.3 * (posed[:, 0] - contact[:, 0])
-    target[upper, 1] = line(np.clip(target[upper, 0], posed[lower, 0].min(), posed[lower, 0].max())) - (
-        OVERLAP * taper[upper]
-    )
-    target[~upper, 1] = line(np.clip(target[~upper, 0], posed[lower, 0].min(), posed[lower, 0].max()))
+    target = contact.copy()
+    height = line(np.clip(contact[:, 0], posed[lower, 0].min(), posed[lower, 0].max()))
+    target[:, 1] = height - np.where(upper, OVERLAP * taper, 0)
     offset = target - centre
     planar = np.minimum(np.hypot(offset[:, 0], offset[:, 1]), 11.5)
     offset[:, 2] = np.sqrt(12.0**2 - planar**2)
     _, direction, radius = surface(centre + offset, centre)
     target = centre + (radius + 0.05 + np.where(upper, BULGE * taper, 0))[:, None] * direction
-    moved = mean + delta + band.spread @ (target - posed)
-    return _clear(moved, mean, band, centre) - mean
+    # near the margin the lids only follow their contact line: the source's own blink frays at the outer corner
+    near = np.clip((BLEND[1] - band.ring) / (BLEND[1] - BLEND[0]), 0, 1)[:, None]
+    near = near * near * (3 - 2 * near)
+    carried = band.spread @ (target - contact)
+    corrected = delta + band.spread @ (target - posed)
+    moved = mean + near * carried + (1 - near) * corrected
+    closed = _clear(moved, band, centre, CLOSED_CLEARANCE) - mean
+    over = upper[band.column] & (band.ring > CONTACT) & (band.ring <= BULGING)
+    skin = np.flatnonzero(over)
+    fade = np.clip((BULGING + 1 - band.ring[skin]) / 4, 0, 1)
+    a = np.random.default_rng(SEED + 1).standard_normal((CLOSED_SAMPLES, len(components)))
+    heads = mean[skin] + np.tensordot(a, components[:, skin], 1)
+    centres = centre + (a @ basis)[:, None]
+    away = np.linalg.norm((mean + closed)[skin, None] - (mean + closed)[None, skin], axis=2)
+    smooth = np.exp(-((away / SOFT) ** 2) / 2)
+    smooth /= smooth.sum(axis=1, keepdims=True)
+    for _ in range(6):
+        for weight, spare in ((0.6, -0.5), (0.8, -0.3), (1.0, SPARE)):
+            r, direction, radius = surface(heads + weight * closed[skin], centres)
+            lack = np.max(np.where(direction[..., 2] > 0.2, radius + spare - r, 0), axis=0)
+            _, direction, _ = surface(mean[skin] + closed[skin], centre)
+            closed[skin] += (1.3 * fade * (smooth @ np.maximum(0, lack)) / weight)[:, None] * direction
+    return closed

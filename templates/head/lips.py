@@ -16,7 +16,7 @@ from scipy.sparse.linalg import splu
 CONTACT = 3  # ring where the lips meet
 ROUNDS = 6
 REACH = 12  # rings over which a correction dies out
-PRESS = 0.15  # mm by which each lip passes the line
+PRESS = 0.3  # mm by which each lip passes the line
 SEALED = (
     *("jawForward", "jawLeft", "jawRight", "mouthPucker", "mouthLeft", "mouthRight", "mouthSmileLeft"),
     *("mouthSmileRight", "mouthFrownLeft", "mouthFrownRight", "mouthDimpleLeft", "mouthDimpleRight"),

@@ -8,19 +8,19 @@ from lids import CREST, LidBand
 from lips import LipBand
 
 LID_RINGS = 14
-LIP_RINGS = 12
+LIP_RINGS = 13
 BROW_HEIGHT, BROW_HALF = 20.5, 4.5  # mm above the eye's centre, half width
 
 
 def lip_limit(band: LipBand, vertices: np.ndarray) -> np.ndarray:
-    """(n,) the ring up to which the red of the lips reaches at each vertex: full in the middle, none past the corners."""
+    """(n,) the ring up to which the red of the lips reaches at each vertex: none past the corners."""
     corner = np.abs(vertices[band.halves[4][0][[0, -1]], 0]).mean() + 2.0
     share = np.clip(1 - (vertices[:, 0] / corner) ** 2, 0, 1)
-    return 1 + LIP_RINGS * share**0.6
+    return 1 + LIP_RINGS * share**0.4
 
 
 def brow_line(x: np.ndarray, centre: np.ndarray, side: float) -> np.ndarray:
-    """Height of the brow's middle at sideways positions x, for the eye at `centre` (3,) and `side` +1 left, -1 right."""
+    """Height of the brow's middle at positions x, for the eye at `centre` (3,) and `side` +1 left, -1 right."""
     out = side * (x - centre[0])
     return centre[1] + BROW_HEIGHT - 0.3 * np.clip(out - 6, 0, None) - 0.12 * np.clip(-out, 0, None)
 
