@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -19,13 +17,11 @@ from avatarbuild.faces import Identity, Look, look
 from avatarbuild.formats import images, video
 from avatarbuild.progress import Task
 from avatarbuild.template import ARKIT_NAMES
+from avatarbuild.threads import in_order
 
 MAIN_LENS = 26.0  # mm equivalent: a phone's main camera, assumed where nothing is told
 VIDEO_CROP = 1.12  # a phone's video sees less than its photos, for the stabiliser's margin
 _FILM_DIAGONAL = 43.267  # mm
-
-T = TypeVar("T")
-R = TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -198,19 +194,6 @@ def _tried(v: video.VideoFile) -> list[int]:
     if len(keys) < 5:
         return [int(i) for i in np.linspace(0, v.frames - 1, 5)[1:-1]]
     return sorted({int(i) for i in keys[np.linspace(0, len(keys) - 1, 7).round().astype(int)]})
-
-
-def in_order(function: Callable[[T], R], items: Iterable[T], ahead: int = 4) -> Iterator[R]:
-    """function(item) of each item in order, computed by as many threads as there are cores, a few items ahead."""
-    workers = os.cpu_count() or 1
-    waiting: list[Future[R]] = []
-    with ThreadPoolExecutor(workers) as pool:
-        for item in items:
-            waiting.append(pool.submit(function, item))
-            if len(waiting) >= workers + ahead:
-                yield waiting.pop(0).result()
-        for future in waiting:
-            yield future.result()
 
 
 def _survey(

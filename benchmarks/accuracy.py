@@ -71,7 +71,7 @@ def print_iris(cameras: Cameras, outlined: list[str]) -> None:
 
 
 def print_known_length(truth: Path, capture: Capture, cameras: Cameras, noise: float = 0.5) -> None:
-    """The scale that a known length would give: the outer eye corners, marked in photos with `noise` pixels of error."""
+    """The scale that a known length would give: the outer eye corners, marked in photos `noise` pixels off."""
     mesh = np.load(truth / "mesh.npz")
     corners = mesh["neutral"][mesh["lm68"][[36, 45]]].astype(float)
     photos = json.loads((truth / "cameras.json").read_text())["photos"]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import concurrent.futures
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import pycolmap
+
+from avatarbuild.threads import in_order
 
 
 @dataclass(frozen=True)
@@ -31,11 +31,6 @@ class Features:
         return Features(self.points[index], self.scales[index], self.descriptors[index])
 
 
-def cores() -> int:
-    """Processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def _extract(grey: np.ndarray, most: int) -> Features:
     options = pycolmap.FeatureExtractionOptions()
     options.use_gpu = False
@@ -56,12 +51,4 @@ def extract(images: Iterator[np.ndarray], most: int) -> Iterator[Features]:
     SIFT features [Lowe 2004] of grey uint8 images (h, w), largest scales first, at most `most` an image; images are
     processed on all cores, the result does not depend on their number.
     """
-    workers = cores()
-    with concurrent.futures.ThreadPoolExecutor(workers) as pool:
-        waiting: list[concurrent.futures.Future[Features]] = []
-        for image in images:
-            waiting.append(pool.submit(_extract, image, most))
-            if len(waiting) > workers:
-                yield waiting.pop(0).result()
-        for future in waiting:
-            yield future.result()
+    yield from in_order(lambda image: _extract(image, most), images, ahead=1)

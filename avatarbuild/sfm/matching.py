@@ -89,6 +89,9 @@ def verify(
     options = pycolmap.TwoViewGeometryOptions()
     options.detect_watermark = False
     options.ransac.random_seed = 0
+    # pairs that share nothing would be tried a hundred thousand times
+    options.ransac.min_inlier_ratio = 0.15
+    options.ransac.max_num_trials = 3000
     options.compute_relative_pose = False
     return pycolmap.estimate_two_view_geometry(
         cameras[0], a.points.astype(float), cameras[1], b.points.astype(float), matches, options

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import concurrent.futures
 import logging
 from collections.abc import Iterator
 from typing import Any
@@ -18,8 +17,9 @@ from avatarbuild.landmarks import canonical_face
 from avatarbuild.options import CamerasOptions
 from avatarbuild.progress import Progress
 from avatarbuild.sfm import head, matching, metric
-from avatarbuild.sfm.features import Features, cores, extract
+from avatarbuild.sfm.features import Features, extract
 from avatarbuild.sfm.mapping import Verified, map_photos
+from avatarbuild.threads import in_order
 
 log = logging.getLogger(__name__)
 
@@ -117,12 +117,8 @@ def _match(features: list[Features], options: CamerasOptions, progress: Progress
     pairs = matching.choose_pairs(alike, options.overlap, options.loop_pairs, options.exhaustive_up_to)
     units = [matching.unit_descriptors(f.descriptors) for f in features]
     found = {}
-    with (
-        progress.task("matches", len(pairs)) as task,
-        threadpoolctl.threadpool_limits(1, "blas"),
-        concurrent.futures.ThreadPoolExecutor(cores()) as pool,
-    ):
-        results = pool.map(lambda pair: matching.match(units[pair[0]], units[pair[1]]), pairs)
+    with progress.task("matches", len(pairs)) as task, threadpoolctl.threadpool_limits(1, "blas"):
+        results = in_order(lambda pair: matching.match(units[pair[0]], units[pair[1]]), pairs)
         for pair, matches in zip(pairs, results):
             if len(matches) >= LEAST_MATCHES:
                 found[pair] = matches
@@ -134,19 +130,21 @@ def _verify(
     features: list[Features],
     matches: dict[tuple[int, int], np.ndarray],
     lenses: tuple[list[pycolmap.Camera], np.ndarray],
+    progress: Progress,
 ) -> Verified:
     cameras, camera_of = lenses
-    with concurrent.futures.ThreadPoolExecutor(cores()) as pool:
-        geometries = pool.map(
-            lambda pair: matching.verify(
-                features[pair[0]],
-                features[pair[1]],
-                matches[pair],
-                (cameras[camera_of[pair[0]]], cameras[camera_of[pair[1]]]),
-            ),
-            matches,
-        )
-        return {pair: g for pair, g in zip(matches, geometries) if len(g.inlier_matches) >= LEAST_MATCHES}
+
+    def check(pair: tuple[int, int]) -> pycolmap.TwoViewGeometry:
+        i, j = pair
+        return matching.verify(features[i], features[j], matches[pair], (cameras[camera_of[i]], cameras[camera_of[j]]))
+
+    verified = {}
+    with progress.task("two-view geometry", len(matches)) as task:
+        for pair, geometry in zip(matches, in_order(check, matches)):
+            if len(geometry.inlier_matches) >= LEAST_MATCHES:
+                verified[pair] = geometry
+            task.advance()
+    return verified
 
 
 def _map(
@@ -168,14 +166,14 @@ def _map(
     def place_by_head() -> list[pycolmap.Reconstruction]:
         on_head = {(i, j): m[heads[i][m[:, 0]] & heads[j][m[:, 1]]] for (i, j), m in matches.items()}
         enough = {pair: m for pair, m in on_head.items() if len(m) >= LEAST_MATCHES}
-        return place(_verify(features, enough, lenses), "placing photos by the head")
+        return place(_verify(features, enough, lenses, progress), "placing photos by the head")
 
     if not capture.face:
-        return place(_verify(features, matches, lenses), "placing photos"), "all", None
+        return place(_verify(features, matches, lenses, progress), "placing photos"), "all", None
     heads = head.head_features(features, capture.photos.landmarks, matches)
     if options.features == "head":
         return place_by_head(), "head", None
-    by_all = place(_verify(features, matches, lenses), "placing photos")
+    by_all = place(_verify(features, matches, lenses, progress), "placing photos")
     settled = head.settle(by_all[0], dict(zip(names, heads))) if by_all else None
     if options.features == "all" or settled is None or not settled.head_moved:
         return by_all, "all", settled

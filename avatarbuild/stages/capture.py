@@ -24,11 +24,11 @@ from avatarbuild.survey import (
     Survey,
     choose_video,
     focal_in_pixels,
-    in_order,
     read_photos,
     survey_frames,
     survey_photos,
 )
+from avatarbuild.threads import in_order
 
 log = logging.getLogger(__name__)
 
