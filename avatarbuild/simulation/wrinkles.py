@@ -95,9 +95,9 @@ def _lines(at: np.ndarray, rng: np.random.Generator) -> dict[str, list[tuple[np.
         y = middle[1] + 3.0 * np.cos(np.linspace(-2, 2, 40)) + 1.2 * rng.standard_normal() * np.linspace(-1, 1, 40)
         z = middle[2] - 0.0045 * x**2
         found["forehead"].append((np.stack([x, y, z], 1), rng.uniform(0.28, 0.45), rng.uniform(0.9, 1.3)))
-    for x in (-rng.uniform(5, 8), rng.uniform(5, 8)):
+    for aside in (-rng.uniform(5, 8), rng.uniform(5, 8)):
         s = np.linspace(-1, 1, 20)
-        line = np.stack([x * (1 + 0.15 * s), at[9][1] + 9 * s, np.full(20, at[9][2])], 1)
+        line = np.stack([aside * (1 + 0.15 * s), at[9][1] + 9 * s, np.full(20, at[9][2])], 1)
         found["glabella"].append((line, rng.uniform(0.3, 0.5), rng.uniform(0.9, 1.3)))
     for side, corner, sign in (("left", 263, 1.0), ("right", 33, -1.0)):
         for angle in (0.55, 0.12, -0.35):
