@@ -119,9 +119,12 @@ def collar_of(subject: Subject) -> np.ndarray:
 def drawn_triangles(subject: Subject) -> np.ndarray:
     """(m, 3): the template's triangles, those under the shirt shrunk to nothing, since a shirt hangs where it likes."""
     triangles = subject.template.triangles
-    collar, x, y = collar_of(subject), subject.neutral[:, 0], subject.neutral[:, 1]
-    below = y < collar[0, 1] - 12.0
-    aside = (np.abs(x) > np.abs(collar[:, 0]).max() + 9.0) & (y < collar[0, 1] + 14.0)
+    collar = collar_of(subject)
+    centre = collar.mean(axis=0)
+    reach = np.abs(collar - centre).max(axis=0) + 8.0
+    off = (subject.neutral - centre) / np.where(reach > 0, reach, 1.0)
+    below = subject.neutral[:, 1] < collar[0, 1] - 12.0
+    aside = (np.hypot(off[:, 0], off[:, 2]) > 1) & (subject.neutral[:, 1] < collar[0, 1] + 14.0)
     hidden = (below | aside)[triangles].all(axis=1)
     return np.where(hidden[:, None], np.int32(0), triangles)
 
