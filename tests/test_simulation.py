@@ -236,7 +236,7 @@ def test_photos_show_the_face_where_the_truth_says():
     """The shipped landmark network finds the inner landmarks of a frontal photo near their true places."""
     from avatarbuild.landmarks import find_faces
 
-    folder = synthetic.capture(seed=4, photos=3, photo_width=480, texture=1024)
+    folder = synthetic.capture(seed=4, photos=5, photo_width=360, texture=1024)
     known = synthetic.truth(folder)
     name = "IMG_0002.JPG"
     faces = find_faces(read_photo(folder / "photos" / name).rgb)

@@ -157,7 +157,7 @@ def write_video(folder: Path, subject: Subject, order: Order, performance: Perfo
         world = (subject.neutral + moved) @ pose[:3, :3].T + pose[:3, 3]
         pixels, _ = camera.project(world[marks])
         points[i] = pixels - 0.5
-        seen[i] = visible(camera, world, subject.template.triangles, tolerance=1.5)[marks]
+        seen[i] = visible(camera, world, subject.template.triangles, tolerance=1.5, facing=False)[marks]
     camera = performance.cameras[0]
     names = np.array(subject.template.expression_names)
     folded = [gains(dict(zip(names.tolist(), w.tolist(), strict=True))) for w in performance.weights]
@@ -180,10 +180,11 @@ def write_video(folder: Path, subject: Subject, order: Order, performance: Perfo
 
 
 def visible(
-    camera: Camera, vertices: np.ndarray, triangles: np.ndarray, *, tolerance: float = 1.0, scale: float = 0.5
+    camera: Camera, vertices: np.ndarray, triangles: np.ndarray, *, tolerance: float = 1.0, facing: bool = True
 ) -> np.ndarray:
-    """(n,) bool: inside the picture, facing the camera, and not over `tolerance` mm behind what is drawn there."""
-    small = camera.scaled(scale)
+    """(n,) bool: inside the picture, not over `tolerance` mm behind what is drawn there, and facing the camera if
+    `facing`; landmarks on the rims of lips and lids need not."""
+    small = camera.scaled(max(0.5, 540 / camera.size[0]))
     pixels, depth = small.project(vertices)
     w, h = small.size
     drawn = rasterise(pixels, depth, triangles, (w, h)).depth
@@ -191,7 +192,7 @@ def visible(
         inside = (depth > 0) & (pixels >= 0).all(axis=1) & (pixels < [w, h]).all(axis=1)
     where = np.where(inside[:, None], pixels, 0).astype(np.int64)
     ahead = ((camera.centre - vertices) * vertex_normals(vertices, triangles)).sum(axis=1) > 0
-    return inside & ahead & (depth < drawn[where[:, 1], where[:, 0]] + tolerance)
+    return inside & (ahead | (not facing)) & (depth < drawn[where[:, 1], where[:, 0]] + tolerance)
 
 
 def write_visibility(folder: Path, counts: np.ndarray, order: Order, chart: Chart) -> None:
