@@ -1,3 +1,9 @@
 """Animatable 3D avatars from phone photos and a short video."""
 
+import os
+
 __version__ = "0.1.0"
+
+# OpenMP threads that wait by spinning take the cores from whatever else runs on the machine.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+os.environ.setdefault("NUMBA_THREADING_LAYER", "omp")
