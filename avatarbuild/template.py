@@ -306,8 +306,8 @@ def _from_arrays(arrays: dict[str, np.ndarray]) -> Template:
     for key in ("uv", "sigma", "landmark_barycentric", "eye_centres", "eye_centre_basis"):
         plain[key] = arrays[key].astype(np.float64)
     return Template(
-        name=str(arrays["name"]),
-        version=str(arrays["version"]),
+        name=str(arrays["name"].item()),
+        version=str(arrays["version"].item()),
         mean=mean,
         identity=identity,
         expressions=expressions,
