@@ -24,8 +24,8 @@ from subdivide import Fine
 from avatarbuild import landmarks as detector
 from avatarbuild.template import EyeRotation, Part, Template
 
-GAZE = {"Up": ((-1.0, 0.0, 0.0), 25.0), "Down": ((1.0, 0.0, 0.0), 30.0), "Out": ((0.0, 1.0, 0.0), 32.0)}
-GAZE["In"] = ((0.0, -1.0, 0.0), 32.0)
+GAZE = {"Up": ((-1.0, 0.0, 0.0), 22.0), "Down": ((1.0, 0.0, 0.0), 24.0), "Out": ((0.0, 1.0, 0.0), 28.0)}
+GAZE["In"] = ((0.0, -1.0, 0.0), 28.0)
 OFFSET_FLOOR = 0.01  # mm: smaller corrections than this are not stored
 
 
@@ -153,8 +153,11 @@ def _expressions(recipe, mean, left, mouth, centre, mirror, people) -> tuple[np.
     for i, name in enumerate(names):
         if np.abs(posed[i, left.contact]).max() > 0.02:
             fitted = (mean, posed[i], left, centre)
-            closing = name == "eyeBlinkLeft"
-            change[i] = (lids.close_lids(*fitted, *people) if closing else lids.fit_expression(*fitted)) - posed[i]
+            if name == "eyeBlinkLeft":
+                shape = lids.close_lids(*fitted, *people)
+            else:
+                shape = lids.fit_expression(*fitted, gaze_direction(name))
+            change[i] = shape - posed[i]
     for i, name in enumerate(names):
         posed[i] += change[i] + change[names.index(expressions.other_side(name))][mirror] * FLIP
     for i, name in enumerate(names):
@@ -290,6 +293,18 @@ def _landmarks(fields: dict, small: list[SimpleNamespace], say: Callable[[str], 
         "landmarks68": np.array(landmarks.POINTS68, np.int32),
         "feature_edges": landmarks.strain_edges(triangles, plain.triangles, barycentric),
     }
+
+
+def gaze_direction(name: str) -> tuple[float, float, float]:
+    """Where the left eye looks at weight 1 of a shape: ahead, but for its own eyeLook shapes."""
+    way = name.removeprefix("eyeLook").removesuffix("Left")
+    if way not in GAZE or name != f"eyeLook{way}Left":
+        return lids.AHEAD
+    axis, degrees = GAZE[way]
+    turned = np.cos(np.radians(degrees)) * np.array(lids.AHEAD) + np.sin(np.radians(degrees)) * np.cross(
+        axis, lids.AHEAD
+    )
+    return tuple(turned.tolist())
 
 
 def _gaze() -> dict[str, EyeRotation]:

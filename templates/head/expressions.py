@@ -12,6 +12,7 @@ from identity import FLIP
 from source import Source
 
 SMOOTHED = {"cheekSquintLeft": 6, "cheekSquintRight": 6, "eyeBlinkLeft": 2, "eyeBlinkRight": 2, "mouthFunnel": 2}
+SMOOTHED |= {"mouthSmileLeft": 5, "mouthSmileRight": 5, "cheekPuff": 6, "mouthDimpleLeft": 3, "mouthDimpleRight": 3}
 STILL_NECK = ("jawOpen", "jawForward", "jawLeft", "jawRight", "mouthClose", "mouthFunnel", "cheekPuff")
 
 

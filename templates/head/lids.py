@@ -16,6 +16,7 @@ from parts import eyeball_radius
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
+AHEAD = (0.0, 0.0, 1.0)
 CONTACT, CREST, MARGIN, HELD, FREE, OUTER = 4, 7, 8, 10, 20, 22
 SOFT = 2.0  # mm over which that bulge is smoothed
 BULGING = 15  # the last ring of the closed upper lid that bulges for the eye
@@ -84,12 +85,15 @@ def _spread(graph: sp.csr_matrix, ring: np.ndarray, contact: np.ndarray, column:
     return (weights.tocsr() + carried).tocsr()
 
 
-def surface(points: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of points (..., 3) about `centre` (..., 3): distance, unit direction, and the eye's radius in that direction."""
+def surface(
+    points: np.ndarray, centre: np.ndarray, gaze: tuple[float, float, float] = AHEAD
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of points (..., 3) about `centre` (..., 3): distance, unit direction, and the radius in that direction of an eye
+    that looks along `gaze` (3,) unit."""
     offset = points - centre
     r = np.linalg.norm(offset, axis=-1)
     direction = offset / r[..., None]
-    return r, direction, eyeball_radius(np.arccos(np.clip(direction[..., 2], -1, 1)))
+    return r, direction, eyeball_radius(np.arccos(np.clip(direction @ np.array(gaze), -1, 1)))
 
 
 def fit_centres(contact: np.ndarray) -> np.ndarray:
@@ -165,16 +169,28 @@ def floor(ring: np.ndarray) -> np.ndarray:
     return CLEARANCE * np.clip((ring - CONTACT) / (CREST - 1 - CONTACT), 0, 1)
 
 
-def fit_expression(mean: np.ndarray, delta: np.ndarray, band: LidBand, centre: np.ndarray) -> np.ndarray:
-    """(n, 3) delta whose lids lie on the eye at weight 1."""
+def fit_expression(
+    mean: np.ndarray,
+    delta: np.ndarray,
+    band: LidBand,
+    centre: np.ndarray,
+    gaze: tuple[float, float, float] = AHEAD,
+) -> np.ndarray:
+    """(n, 3) delta whose lids lie at weight 1 on the eye that looks along `gaze`."""
     posed = mean + delta
     at = posed[band.contact]
-    r, direction, radius = surface(at, centre)
+    r, direction, radius = surface(at, centre, gaze)
     moved = posed + band.spread @ ((radius + 0.05 - r)[:, None] * direction)
-    return _clear(moved, band, centre, CLEARANCE) - mean
+    return _clear(moved, band, centre, CLEARANCE, gaze) - mean
 
 
-def _clear(posed: np.ndarray, band: LidBand, centre: np.ndarray, clearance: float) -> np.ndarray:
+def _clear(
+    posed: np.ndarray,
+    band: LidBand,
+    centre: np.ndarray,
+    clearance: float,
+    gaze: tuple[float, float, float] = AHEAD,
+) -> np.ndarray:
     """Set the inner rings to their depths and lift lid skin that comes too near the eye."""
     out = posed.copy()
     for k, depth in {**DEPTHS, -1: SOCKET_DEPTH}.items():
@@ -182,7 +198,7 @@ def _clear(posed: np.ndarray, band: LidBand, centre: np.ndarray, clearance: floa
         _, direction, radius = surface(out[at], centre)
         out[at] = centre + (radius - depth)[:, None] * direction
     skin = np.flatnonzero((band.ring > CONTACT) & (band.ring < OUTER))
-    r, direction, radius = surface(out[skin], centre)
+    r, direction, radius = surface(out[skin], centre, gaze)
     lift = np.where(
         direction[:, 2] > 0.2, np.maximum(0, radius + clearance * floor(band.ring[skin]) / CLEARANCE - r), 0
     )
