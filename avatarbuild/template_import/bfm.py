@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import scipy.io
+from scipy.io.matlab import MatReadError
 
 from avatarbuild.errors import InputError
 from avatarbuild.template_import.foreign import COMPONENTS, ForeignHead, largest_component, millimetres
@@ -61,7 +62,7 @@ def _read_h5(source: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
 def _read_mat(source: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     try:
         content = scipy.io.loadmat(source, variable_names=["shapeMU", "shapePC", "shapeEV", "tl"])
-    except (OSError, ValueError, NotImplementedError, TypeError) as error:
+    except (OSError, ValueError, NotImplementedError, TypeError, MatReadError) as error:
         raise InputError(f"{source}: not a readable .mat ({error}); use 01_MorphableModel.mat") from error
     missing = [key for key in ("shapeMU", "shapePC", "shapeEV", "tl") if key not in content]
     if missing:

@@ -47,7 +47,7 @@ def _read_npz(source: Path) -> Mapping[str, Any]:
     try:
         with np.load(source, allow_pickle=False) as stored:
             return _checked({key: stored[key] for key in KEYS if key in stored.files}, source)
-    except (ValueError, OSError, zipfile.BadZipFile) as error:
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(f"{source}: not a .npz of plain arrays ({error}); save it without objects") from error
 
 

@@ -132,6 +132,11 @@ def _scalar(dtype: np.dtype, data: Any = b"") -> Any:
     return np.frombuffer(raw, dtype, 1)[0]
 
 
+def _buffer(data: Any, dtype: np.dtype, shape: tuple, order: str) -> np.ndarray:
+    """An array of protocol 5."""
+    return np.frombuffer(data, dtype).reshape(shape, order="F" if order == "F" else "C")
+
+
 def _encode(text: str, encoding: str = "latin1") -> bytes:
     """How bytes travel in pickles of protocol 2."""
     if encoding not in ("latin1", "latin-1"):
@@ -160,5 +165,6 @@ _ADMITTED: dict[tuple[str, str], type | Callable] = {
     ("builtins", "object"): _Object,
     ("collections", "OrderedDict"): dict,
     **{(f"numpy.{core}.multiarray", "_reconstruct"): _array for core in ("core", "_core")},
+    **{(f"numpy.{core}.numeric", "_frombuffer"): _buffer for core in ("core", "_core")},
     **{(f"numpy.{core}.multiarray", "scalar"): _scalar for core in ("core", "_core")},
 }

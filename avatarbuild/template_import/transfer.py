@@ -211,7 +211,7 @@ def _mouth(shipped: Template, head: ForeignHead, mean: np.ndarray, identity: np.
 
 
 def _affine(points: np.ndarray, moves: np.ndarray, at: np.ndarray, *, scaled: bool) -> np.ndarray:
-    """(k, j, 3): the linearised rigid motion, or similarity, closest to `moves` (k, i, 3) of points (i, 3), `at` (j, 3).
+    """(k, j, 3): at points (j, 3), the linearised rigid motion or similarity closest to `moves` (k, i, 3) of (i, 3).
 
     argmin_{t, w, s} sum_i |t + w x p_i + s p_i - d_i|^2, p about the points' centroid.
     """

@@ -26,14 +26,18 @@ SCHEDULE = (
     (200.0, 15.0, 5.0),
     (40.0, 10.0, 5.0),
     (8.0, 6.0, 3.0),
-    (2.0, 4.0, 1.0),
-    (0.5, 3.0, 0.3),
+    (4.0, 4.0, 1.0),
+    (2.0, 3.0, 0.5),
 )
 ROUNDS = 2
+UNFOLDING = 4  # times that vertices of folded triangles are let go of
+FINISH = 2.0  # stiffness of the last fit, which evens out how closest points crowd in folds
 EXTENSION = 0.05  # stiffness where displacements are carried over to vertices without a counterpart
 MEMBRANE = 0.02  # share of first differences, which keeps carried displacements from growing
+FIRMNESS = 2.0  # that share while fitting, where it keeps triangles from folding
 SPRING = 10.0  # holds the lips together
 LEAST_AGREEMENT = 0.5  # cosine of the normals of corresponding points
+LEAST_UPRIGHT = 0.35  # cosine of a triangle's turn beyond which it counts as folded
 LEAST_LANDMARKS = 60
 _COLUMNS = 128  # that the solver takes at once
 WORST_FIT = 2.0  # mm, mean over the face
@@ -62,7 +66,9 @@ class Extension(NamedTuple):
     edges: np.ndarray
     springs: np.ndarray
 
-    def factor(self, weights: np.ndarray, stiffness: float, extra: sp.spmatrix | None = None) -> Callable:
+    def factor(
+        self, weights: np.ndarray, stiffness: float, membrane: float = MEMBRANE, extra: sp.spmatrix | None = None
+    ) -> Callable:
         """
         Solver d(values) of argmin_d sum_i w_i |d_i - v_i|^2 + stiffness (|L d|^2 + mu |G d|^2) + s sum |d_i - d_j|^2,
 
@@ -74,13 +80,13 @@ class Extension(NamedTuple):
         near = sp.csr_matrix((np.ones(len(pairs)), pairs.T), shape=(n, n))
         degree = np.maximum(np.asarray(near.sum(axis=1)).ravel(), 1)
         laplacian = sp.identity(n) - sp.diags(1 / degree) @ near
-        matrix = stiffness * (laplacian.T @ laplacian + MEMBRANE * (sp.diags(degree) - near)) + sp.diags(weights)
+        matrix = stiffness * (laplacian.T @ laplacian + membrane * (sp.diags(degree) - near)) + sp.diags(weights)
         if len(self.springs):
             matrix = matrix + SPRING * _differences(self.springs, n)
         if extra is not None:
             matrix = matrix + extra
         # a tie far below every weight, so that a mesh without any known vertex stays put
-        matrix = (matrix + 1e-9 * sp.identity(n)).tocoo()
+        matrix = (matrix + 1e-10 * sp.identity(n)).tocoo()
         solver = CholeskySolverD(n, matrix.row, matrix.col, matrix.data, MatrixType.COO)
 
         def solve(right: np.ndarray) -> np.ndarray:
@@ -140,11 +146,19 @@ def wrap(template: Template, head: ForeignHead) -> Wrap:
         for _ in range(ROUNDS):
             rows, known = _counterparts(start + d, triangles, mean, outer, outward, border, reach)
             known &= weights > 0
-            solve = carry.factor(weights * known, stiffness, trust * (marks.T @ marks))
+            solve = carry.factor(weights * known, stiffness, FIRMNESS, trust * (marks.T @ marks))
             d = solve(known[:, None] * (rows @ mean - start) + trust * (marks.T @ goal))
     rows, known = _counterparts(start + d, triangles, mean, outer, outward, border, SCHEDULE[-1][1])
     known &= weights > 0
-    d = carry.factor(known.astype(float), EXTENSION)(known[:, None] * (rows @ mean - start))
+    d = carry.factor(known.astype(float), FINISH, FIRMNESS)(known[:, None] * (rows @ mean - start))
+    for _ in range(UNFOLDING):
+        folded = _folded(start, start + d, triangles)
+        if not folded.any():
+            break
+        for _ in range(2):
+            folded[carry.edges[folded[carry.edges].any(axis=1)]] = True
+        known &= ~folded
+        d = carry.factor(known.astype(float), FINISH, FIRMNESS)(known[:, None] * (rows @ mean - start))
     apart = np.linalg.norm(rows @ mean - start - d, axis=1)
     visible = face & ~hidden
     cover, misfit = float(known[visible].mean()), float(apart[visible & known].mean()) if known.any() else np.inf
@@ -203,6 +217,18 @@ def _outward(start, triangles, mean, outer) -> np.ndarray:
     _, face, apart = attach(start, mean, outer)
     agree = np.einsum("ij,ij->i", vertex_normals(start, triangles), normals[face])
     return normals if np.median(agree[apart <= np.median(apart)]) >= 0 else -normals
+
+
+def _folded(rest: np.ndarray, moved: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(n,) bool: corners of triangles that turned by more than about 70 degrees."""
+    normals = []
+    for vertices in (rest, moved):
+        a, b, c = (vertices[triangles[:, k]] for k in range(3))
+        normal = np.cross(b - a, c - a)
+        normals.append(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
+    folded = np.zeros(len(rest), bool)
+    folded[triangles[np.einsum("ij,ij->i", *normals) < LEAST_UPRIGHT]] = True
+    return folded
 
 
 def _border(n: int, triangles: np.ndarray) -> np.ndarray:
