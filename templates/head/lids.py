@@ -17,20 +17,22 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 AHEAD = (0.0, 0.0, 1.0)
-CONTACT, CREST, MARGIN, HELD, FREE, OUTER = 4, 7, 8, 10, 20, 22
-SOFT = 2.0  # mm over which that bulge is smoothed
-BULGING = 15  # the last ring of the closed upper lid that bulges for the eye
+# rings: where the lids touch the eye, the margin's edge, the end of what moves as one with it, the last one whose
+# thickness is everybody's, the first free one, the end of all corrections
+CONTACT, CREST, MARGIN, HELD, FREE, OUTER = 4, 7, 8, 10, 20, 26
 DEPTHS = {3: 0.9, 2: 1.8, 1: 2.6, 0: 3.2}  # mm below the eye's surface of the rings inside the lid
 SOCKET_DEPTH = 3.6
 CLEARANCE, CLOSED_CLEARANCE = 1.0, 1.3  # mm of lid skin over the eye, open and closed
-BLEND = (8, 20)  # rings between which the closed lid passes from its own shape to the source's
-LEAST = 0.7  # mm of skin over the eye that the identity's variation leaves
+LEAST = 0.8  # mm of skin over the eye that the identity's variation leaves
 SAMPLES, SEED = 1500, 5
 RAISE = 0.4  # mm of the eyeball's centre above the middle of the opening
 SHRINK = 0.6  # of the identity's sliding of the lids about the eye; the error off the sphere goes with its square
-CLOSED_SAMPLES, SPARE = 300, 0.05  # heads that set the closed lids' bulge, mm left between their lids and eyes
 OVERLAP = 2.2  # mm by which the closed upper lid passes the lower lid's line
 BULGE = 0.5  # mm of hover of the closed upper lid, so that half a blink cuts less into the eye
+BLEND = (8, 20)  # rings between which the closed lid passes from its own shape to the source's
+# the closed upper lid bulges so far that none of these heads' eyes comes nearer to its skin than SPARE mm, up to this
+# ring, smoothed over SOFT mm
+CLOSED_SAMPLES, SPARE, BULGING, SOFT = 300, 0.05, 15, 2.0
 
 
 @dataclass(frozen=True)
@@ -157,7 +159,7 @@ def fit_identity(
     usual = np.maximum((r - radius).mean(axis=0), floor(band.ring[skin]))
     hold = np.clip((FREE - band.ring[skin]) / (FREE - HELD), 0, 1)
     # and nowhere so uneven among people that the eye shows through
-    lowest = np.quantile(r - radius, 0.002, axis=0)
+    lowest = np.quantile(r - radius, 0.0007, axis=0)
     room = np.where(lowest < LEAST, (usual - LEAST) / np.maximum(usual - lowest, 1e-9), 1)
     hold = np.where(direction[..., 2].mean(axis=0) > 0, np.maximum(hold, 1 - np.clip(room, 0, 1)), 0)
     corrections[:, skin] += linear((hold * (radius + usual - r))[..., None] * direction)
