@@ -117,7 +117,7 @@ def test_file_round_trip(tmp_path):
     back = Template.load(tmp_path / "toy.npz")
     a, w = np.array([0.5, -1.0]), weights(jawOpen=0.7, eyeLookUpLeft=0.3)
     np.testing.assert_allclose(back.evaluate(a, w), t.evaluate(a, w), atol=1e-5)
-    assert back.parts == t.parts
+    assert (back.name, back.version, back.parts) == (t.name, t.version, t.parts)
     assert all((back.regions[k] == t.regions[k]).all() for k in REGION_NAMES)
     assert back.eye_rotations["eyeLookUpLeft"].eye == "left"
 
