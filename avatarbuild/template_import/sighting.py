@@ -70,8 +70,8 @@ def _view(vertices, triangles, skin, normals, centre, yaw) -> np.ndarray:
     b = raster.barycentric.astype(np.float64)
     normal = np.einsum("hwk,hwkx->hwx", b, normals[corners]) @ rotation.T
     normal /= np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), 1e-12)
-    # meshes of either orientation: what is seen faces the camera
-    normal *= -np.sign(normal[..., 2:])
+    # meshes of either orientation: most of what is seen faces the camera, the rest is an inside through a hole
+    normal *= -np.sign(np.median(normal[raster.triangle >= 0, 2]))
     light = np.array([-0.35, -0.45, -0.82])
     shade = 0.25 + 0.75 * np.clip(normal @ light, 0, 1)
     seen = raster.triangle >= 0

@@ -34,10 +34,12 @@ UNFOLDING = 4  # times that vertices of folded triangles are let go of
 FINISH = 2.0  # stiffness of the last fit, which evens out how closest points crowd in folds
 EXTENSION = 0.05  # stiffness where displacements are carried over to vertices without a counterpart
 MEMBRANE = 0.02  # share of first differences, which keeps carried displacements from growing
+HOLD = 0.5  # weight of a landmark in the last fit: the detector sees lids that have no counterpart
 FIRMNESS = 2.0  # that share while fitting, where it keeps triangles from folding
 SPRING = 10.0  # holds the lips together
 LEAST_AGREEMENT = 0.5  # cosine of the normals of corresponding points
 LEAST_UPRIGHT = 0.35  # cosine of a triangle's turn beyond which it counts as folded
+OUTLIER = 3.0
 LEAST_LANDMARKS = 60
 _COLUMNS = 128  # that the solver takes at once
 WORST_FIT = 2.0  # mm, mean over the face
@@ -130,6 +132,7 @@ def wrap(template: Template, head: ForeignHead) -> Wrap:
     target = sight(head.mean, head.triangles, head.skin)
     own = sight(template.mean, template.triangles, np.arange(len(template.triangles)) < len(triangles))
     common = target.seen & own.seen & ~template.landmark_sliding & (np.arange(len(own.seen)) < 468)
+    common = _agreeing(own.points, target.points, common)
     scale, rotation, shift = _place(rest, face & ~hidden, own.points, target.points, common, head.mean, outer)
     mean = (head.mean - shift) @ rotation
     start = scale * rest
@@ -150,15 +153,16 @@ def wrap(template: Template, head: ForeignHead) -> Wrap:
             d = solve(known[:, None] * (rows @ mean - start) + trust * (marks.T @ goal))
     rows, known = _counterparts(start + d, triangles, mean, outer, outward, border, SCHEDULE[-1][1])
     known &= weights > 0
-    d = carry.factor(known.astype(float), FINISH, FIRMNESS)(known[:, None] * (rows @ mean - start))
-    for _ in range(UNFOLDING):
+    pull, drawn = HOLD * (marks.T @ marks), HOLD * (marks.T @ goal)
+    for k in range(UNFOLDING + 1):
+        solve = carry.factor(known.astype(float), FINISH, FIRMNESS, pull)
+        d = solve(known[:, None] * (rows @ mean - start) + drawn)
         folded = _folded(start, start + d, triangles)
-        if not folded.any():
+        if k == UNFOLDING or not folded.any():
             break
         for _ in range(2):
             folded[carry.edges[folded[carry.edges].any(axis=1)]] = True
         known &= ~folded
-        d = carry.factor(known.astype(float), FINISH, FIRMNESS)(known[:, None] * (rows @ mean - start))
     apart = np.linalg.norm(rows @ mean - start - d, axis=1)
     visible = face & ~hidden
     cover, misfit = float(known[visible].mean()), float(apart[visible & known].mean()) if known.any() else np.inf
@@ -199,6 +203,17 @@ def _place(rest, chosen, own, target, common, mean, outer) -> tuple[float, np.nd
             break
         scale, rotation, shift = similarity(points[near], (rows @ mean)[near])
     return scale, rotation, shift
+
+
+def _agreeing(own: np.ndarray, target: np.ndarray, common: np.ndarray) -> np.ndarray:
+    """(478,) bool: landmarks that a similarity carries to within OUTLIER times the median; others miss the surface."""
+    for _ in range(5):
+        if common.sum() < LEAST_LANDMARKS:
+            break
+        scale, rotation, shift = similarity(own[common], target[common])
+        apart = np.linalg.norm(scale * own @ rotation.T + shift - target, axis=1)
+        common = common & (apart <= OUTLIER * np.median(apart[common]))
+    return common
 
 
 def _counterparts(moved, triangles, mean, outer, outward, border, reach) -> tuple[sp.csr_matrix, np.ndarray]:
