@@ -43,7 +43,7 @@ class CamerasOptions:
     max_features: int = option(
         4096, "features", "SIFT features kept an image, largest first.", draft=3000, high=8192, least=500
     )
-    exhaustive_up_to: int = option(24, "photos", "Sets up to this size are matched pair by pair, all of them.", least=2)
+    exhaustive_up_to: int = option(40, "photos", "Sets up to this size are matched pair by pair, all of them.", least=2)
     overlap: int = option(6, "photos", "Neighbours in shooting order that each photo is matched with.", least=2)
     loop_pairs: int = option(
         6, "photos", "Photos further off in order, alike in view, that each is matched with.", least=0
@@ -67,7 +67,7 @@ class PointsOptions:
     sources: int = option(4, "photos", "Source photos each photo is matched against.", least=2)
     window: int = option(5, "pixels", "Half width of the matching window.", least=2)
     min_views: int = option(3, "photos", "Photos that must agree on a point, the reference among them.", least=2)
-    tolerance: float = option(0.8, "pixels", "Largest distance of the surfaces of two photos that agree.", least=0.1)
+    tolerance: float = option(0.7, "pixels", "Largest distance of the surfaces of two photos that agree.", least=0.1)
     spread: float = option(8.0, "degrees", "Angle that the photos that agree on a point must span.", least=0.0)
     doubt: float = option(0.2, "ratio", "Photos that see through a point, allowed for each that agrees.", least=0.0)
     least_piece: int = option(200, "points", "Smaller separate pieces of the cloud are dropped.", least=1)
