@@ -32,6 +32,9 @@ screen = rich.console.Console(stderr=True, highlight=False)
 log = logging.getLogger(__name__)
 
 CapturePath = Annotated[Path, typer.Argument(metavar="CAPTURE", help="Folder with photos and a video.")]
+templates = typer.Typer(no_args_is_help=True, help="The shipped head, and heads imported from files that you have.")
+app.add_typer(templates, name="template")
+
 ProjectPath = Annotated[Path, typer.Argument(metavar="PROJECT", help="Project folder of an earlier run.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
 
@@ -287,6 +290,50 @@ def simulate(
     options_ = simulation.SimulationOptions(**chosen)
     place = simulation.simulate(output, seed, options_, truth_folder=truth, progress=Bars())
     screen.print(f"capture: {output}, truth: {place}")
+
+
+@templates.command("list")
+def template_list(
+    folder: Annotated[Path | None, typer.Argument(help="Folder with imported templates.")] = None, as_json: Json = False
+) -> None:
+    """The shipped head and the templates of a folder."""
+    from avatarbuild import template_commands
+
+    entries = template_commands.list_templates(folder)
+    if as_json:
+        rows = [entry._asdict() | {"path": str(entry.path)} for entry in entries]
+        typer.echo(json.dumps({"version": JSON_VERSION, "templates": rows}, indent=1, ensure_ascii=False))
+        return
+    rich.console.Console().print(template_commands.list_table(entries))
+
+
+@templates.command("info")
+def template_info(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="'head' for the shipped one, or a file.")] = "head",
+    as_json: Json = False,
+) -> None:
+    """What a template holds."""
+    from avatarbuild import template_commands
+
+    facts = template_commands.describe(name)
+    if as_json:
+        about = facts._asdict() | {"path": str(facts.path)}
+        typer.echo(json.dumps({"version": JSON_VERSION, "template": about}, indent=1, ensure_ascii=False))
+        return
+    rich.console.Console().print(template_commands.facts_table(facts))
+
+
+@templates.command("import")
+def template_import(
+    source: Annotated[Path, typer.Argument(help="ICT-FaceKit's folder, or a FLAME or BFM file.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="The template file to write (.npz).")],
+    kind: Annotated[str | None, typer.Option(help="ict, flame or bfm; told from the files by default.")] = None,
+) -> None:
+    """Make a template of a head model that you hold a licence for."""
+    from avatarbuild import template_commands
+
+    made = template_commands.import_template(source, kind, output)
+    screen.print(f"{output}: template {made.name}, {len(made.mean)} vertices")
 
 
 def _existing(folder: Path) -> Project:

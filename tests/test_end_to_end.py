@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import igl
 import numpy as np
 import pytest
 import synthetic
-import trimesh
 
 from avatarbuild.artefacts import Cameras, Capture
 from avatarbuild.geometry.similarity import similarity
@@ -30,7 +30,7 @@ def aligned(model: Cameras, taken: Capture, truth: synthetic.Truth) -> tuple[flo
 
 @pytest.fixture(scope="module")
 def solved() -> tuple[Path, Capture, Cameras]:
-    folder = synthetic.capture(5, photos=12, photo_width=540)
+    folder = synthetic.capture(5, photos=18, photo_width=480)
     taken = capture.run(folder, CaptureOptions(), Silent())
     return folder, taken, cameras.run(taken, CamerasOptions(), Silent())
 
@@ -40,7 +40,7 @@ def test_cameras(solved: tuple[Path, Capture, Cameras]) -> None:
     truth = synthetic.truth(folder)
     assert taken.face
     s, r, _, error = aligned(model, taken, truth)
-    assert len(error) >= 11
+    assert len(error) >= 15
     assert 0.01 < np.sqrt((error**2).mean()) < 2.0
     assert abs(s - 1) < 0.15  # an iris of 11.7 mm is a guess
     assert np.degrees(np.arccos(np.clip((np.trace(r) - 1) / 2, -1, 1))) < 12  # the head frame, from landmarks
@@ -75,9 +75,8 @@ def test_cloud(solved: tuple[Path, Capture, Cameras]) -> None:
     there = s * cloud.points.astype(float) @ r.T + t
     nose = truth.neutral[truth.landmarks68[30]]
     face = there[np.linalg.norm(there - nose, axis=1) < 80]
-    mesh = trimesh.Trimesh(truth.neutral, truth.triangles, process=False)
     sample = face[np.random.default_rng(0).choice(len(face), 2000)]
-    _, distance, _ = trimesh.proximity.closest_point(mesh, sample)
+    distance = np.sqrt(igl.point_mesh_squared_distance(sample, truth.neutral, truth.triangles.astype(np.int64))[0])
     assert 0.02 < np.median(distance) < 1.2
     assert np.quantile(distance, 0.9) < 4.0
 

@@ -58,7 +58,7 @@ def prove(capture: Path, folder: Path, kills: int, seed: int) -> None:
 
 
 def test_a_killed_run_ends_in_the_same_bytes(tmp_path: Path) -> None:
-    prove(synthetic.capture(3, photos=10, photo_width=360), tmp_path, kills=2, seed=0)
+    prove(synthetic.capture(3, photos=16, photo_width=360), tmp_path, kills=2, seed=0)
 
 
 @pytest.mark.slow

@@ -188,6 +188,17 @@ def test_status_and_clean(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
     assert not (place / "01-capture").exists()
 
 
+def test_template_verbs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert call(monkeypatch, "template", "list", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["templates"][0]["shipped"]
+    assert call(monkeypatch, "template", "info", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["template"]["expressions"] == 52
+    assert call(monkeypatch, "template", "info", "nobody") == 2
+    (tmp_path / "note.pkl").write_text("no model")
+    assert call(monkeypatch, "template", "import", tmp_path / "note.pkl", "-o", tmp_path / "out.npz") == 2
+    assert not (tmp_path / "out.npz").exists()
+
+
 def test_simulate_checks_its_options(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

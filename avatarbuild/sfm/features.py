@@ -10,6 +10,8 @@ import pycolmap
 
 from avatarbuild.threads import in_order
 
+_FEW = 0.7  # of the features that are asked for
+
 
 @dataclass(frozen=True)
 class Features:
@@ -32,12 +34,17 @@ class Features:
 
 
 def _extract(grey: np.ndarray, most: int) -> Features:
+    found = _extract_from(grey, most, 0)
+    # Octave -1 (an upsampled image) costs three times as much: for photos that are short of features without it.
+    return _extract_from(grey, most, -1) if len(found) < _FEW * most else found
+
+
+def _extract_from(grey: np.ndarray, most: int, octave: int) -> Features:
     options = pycolmap.FeatureExtractionOptions()
     options.use_gpu = False
     options.num_threads = 1
     options.sift.max_num_features = most
-    # Octave -1 (an upsampled image) costs three times as much; its fine features match badly in noisy photos.
-    options.sift.first_octave = 0
+    options.sift.first_octave = octave
     extractor = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
     keypoints, descriptors = extractor.extract_from_uint8_array(np.ascontiguousarray(grey))
     matrix = np.asarray(pycolmap.keypoints_to_matrix(keypoints), np.float32).reshape(-1, 4)

@@ -100,11 +100,28 @@ def map_photos(
             models[0] = pycolmap.triangulate_points(
                 models[0], full, folder, str(Path(folder) / "dense"), clear_points=True, options=_options()
             )
+            if models[0].num_reg_images() < len(names):
+                models[0] = _place_the_rest(models[0], full, folder, tell)
             for furthest in (_FAR, _NEAR):
                 _drop_outliers(models[0], furthest)
                 adjust(models[0])
             _drop_outliers(models[0], _NEAR)
     return models
+
+
+def _place_the_rest(
+    model: pycolmap.Reconstruction, database: str, folder: str, tell: Callable[[], None]
+) -> pycolmap.Reconstruction:
+    """Photos that share too few large features with the others are placed with all their features."""
+    start, more = Path(folder) / "start", Path(folder) / "more"
+    start.mkdir()
+    model.write_binary(str(start))
+    options = _options()
+    options.multiple_models = False
+    found = pycolmap.incremental_mapping(
+        database, folder, str(more), options=options, input_path=str(start), next_image_callback=tell
+    )
+    return max([model, *found.values()], key=lambda m: m.num_reg_images())
 
 
 def _free_lenses(model: pycolmap.Reconstruction) -> None:
