@@ -11,6 +11,7 @@ import pycolmap
 from avatarbuild.threads import in_order
 
 _FEW = 0.7  # of the features that are asked for
+_ROOM = 2
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ def _extract_from(grey: np.ndarray, most: int, octave: int) -> Features:
     options = pycolmap.FeatureExtractionOptions()
     options.use_gpu = False
     options.num_threads = 1
-    options.sift.max_num_features = most
+    options.sift.max_num_features = _ROOM * most  # COLMAP drops whole levels of scale; the cut is made below
     options.sift.first_octave = octave
     extractor = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
     keypoints, descriptors = extractor.extract_from_uint8_array(np.ascontiguousarray(grey))
