@@ -17,9 +17,9 @@ from avatarbuild.faces import look
 from avatarbuild.formats import video
 from avatarbuild.judgement import GOOD, MIN_PHOTOS, RESHOOT, USABLE, Finding, has_face, judge
 from avatarbuild.options import CaptureOptions
+from avatarbuild.parallel import in_order
 from avatarbuild.progress import Progress
 from avatarbuild.survey import Survey, choose_video, read_photos, survey_frames, survey_photos
-from avatarbuild.threads import in_order
 
 _PHOTO_PIXELS = 3.2e6  # photos are looked at in this size, half of 12 megapixels; blur of 0.1 mm still shows
 _KEY_GAP = 1.5  # s: keyframes nearer than this sample a video well, and cost least

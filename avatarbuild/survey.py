@@ -15,9 +15,9 @@ from avatarbuild.capture_folder import CaptureFolder, natural
 from avatarbuild.errors import InputError
 from avatarbuild.faces import Identity, Look, look
 from avatarbuild.formats import images, video
+from avatarbuild.parallel import in_order
 from avatarbuild.progress import Task
 from avatarbuild.template import ARKIT_NAMES
-from avatarbuild.threads import in_order
 
 MAIN_LENS = 26.0  # mm equivalent: a phone's main camera, assumed where nothing is told
 VIDEO_CROP = 1.12  # a phone's video sees less than its photos, for the stabiliser's margin

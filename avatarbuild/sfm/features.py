@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import pycolmap
 
-from avatarbuild.threads import in_order
+from avatarbuild.parallel import in_processes
 
 _FEW = 0.7  # of the features that are asked for
 _ROOM = 2
@@ -59,4 +60,4 @@ def extract(images: Iterator[np.ndarray], most: int) -> Iterator[Features]:
     SIFT features [Lowe 2004] of grey uint8 images (h, w), largest scales first, at most `most` an image; images are
     processed on all cores, the result does not depend on their number.
     """
-    yield from in_order(lambda image: _extract(image, most), images, ahead=1)
+    yield from in_processes(functools.partial(_extract, most=most), images)

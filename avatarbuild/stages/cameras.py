@@ -15,11 +15,11 @@ from avatarbuild.artefacts import Cameras, Capture
 from avatarbuild.errors import InputError
 from avatarbuild.landmarks import canonical_face
 from avatarbuild.options import CamerasOptions
+from avatarbuild.parallel import in_order
 from avatarbuild.progress import Progress
 from avatarbuild.sfm import head, matching, metric
 from avatarbuild.sfm.features import Features, extract
 from avatarbuild.sfm.mapping import Verified, map_photos
-from avatarbuild.threads import in_order
 
 log = logging.getLogger(__name__)
 

@@ -17,6 +17,7 @@ from avatarbuild.errors import InputError
 from avatarbuild.faces import Look, look
 from avatarbuild.formats import images, video
 from avatarbuild.options import CaptureOptions
+from avatarbuild.parallel import in_order
 from avatarbuild.progress import Progress, Task
 from avatarbuild.survey import (
     MAIN_LENS,
@@ -28,7 +29,6 @@ from avatarbuild.survey import (
     survey_frames,
     survey_photos,
 )
-from avatarbuild.threads import in_order
 
 log = logging.getLogger(__name__)
 

@@ -1,0 +1,62 @@
+"""Work shared among the processor's cores, with results that do not depend on their number."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from typing import TypeVar
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+def cores() -> int:
+    """Processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def in_order(function: Callable[[T], R], items: Iterable[T], ahead: int = 4) -> Iterator[R]:
+    """function(item) of each item in order, computed by as many threads as there are cores, a few items ahead."""
+    with ThreadPoolExecutor(cores()) as pool:
+        yield from _ordered(pool, function, items, cores() + ahead)
+
+
+def in_processes(function: Callable[[T], R], items: Iterable[T], ahead: int = 1) -> Iterator[R]:
+    """
+    The same by processes, for compiled code that keeps Python's lock; function and items must be picklable.
+
+    Processes are spawned, since GNU OpenMP and forks abort: a script that calls this needs the usual
+    `if __name__ == "__main__"`.
+    """
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(cores(), mp_context=spawn, initializer=_end_with_parent) as pool:
+        yield from _ordered(pool, function, items, cores() + ahead)
+
+
+def _ordered(pool: Executor, function: Callable[[T], R], items: Iterable[T], most: int) -> Iterator[R]:
+    waiting: list[Future[R]] = []
+    try:
+        for item in items:
+            waiting.append(pool.submit(function, item))
+            if len(waiting) >= most:
+                yield waiting.pop(0).result()
+        while waiting:
+            yield waiting.pop(0).result()
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+
+
+def _end_with_parent() -> None:
+    """A worker whose parent was killed would wait for work for ever."""
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
