@@ -82,6 +82,28 @@ def test_cloud(solved: tuple[Path, Capture, Cameras]) -> None:
 
 
 @pytest.mark.slow
+def test_half_the_true_focal_length_in_exif(solved: tuple[Path, Capture, Cameras]) -> None:
+    _, taken, model = solved
+    wrong = replace(taken, photos=replace(taken.photos, focal=taken.photos.focal / 2))
+    again = cameras.run(wrong, CamerasOptions(), Silent())
+    lengths = [m.model.cameras[1].mean_focal_length() for m in (model, again)]
+    assert abs(lengths[1] / lengths[0] - 1) < 0.02
+    assert "EXIF" in " ".join(again.warnings)
+
+
+@pytest.mark.slow
+def test_somebody_else_in_the_photos() -> None:
+    folder = synthetic.capture(7, photos=18, photo_width=480, second_person=True)
+    taken = capture.run(folder, CaptureOptions(), Silent())
+    alone = capture.run(synthetic.capture(7, photos=18, photo_width=480), CaptureOptions(), Silent())
+    assert taken.face
+    both = np.isfinite(taken.photos.presence) & np.isfinite(alone.photos.presence)
+    nose = [views.landmarks[both, 4, :2] for views in (taken.photos, alone.photos)]
+    assert np.median(np.linalg.norm(nose[0] - nose[1], axis=1)) < 5
+    assert "person" in " ".join(taken.warnings)
+
+
+@pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_a_head_that_turns_against_the_room() -> None:
     folder = synthetic.capture(6, photos=16, photo_width=720, head_turn=2.5)

@@ -83,6 +83,14 @@ def test_only_bad_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     assert "usable photos" in one_line(capsys)
 
 
+def test_photos_of_nothing_in_common(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    texture_photos(tmp_path / "me", 9)
+    assert call(monkeypatch, "run", tmp_path / "me") == 2
+    assert "of 9 photos could be placed" in one_line(capsys)
+
+
 @pytest.mark.slow
 def test_a_huge_photo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     texture_photos(tmp_path / "me", 8)

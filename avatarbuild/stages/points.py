@@ -80,7 +80,7 @@ def run(capture: Capture, cameras: Cameras, options: PointsOptions, progress: Pr
         "views": len(views),
         "reference_views": sum(bool(s) for s in sources),
         "median_agreeing_views": float(np.median(seen[keep])),
-        "spacing": spacing(points[keep]),
+        "spacing": round(spacing(points[keep]), 3),
     }
     log.info("%d points from %d photos, %.2f apart", len(keep), figures["reference_views"], figures["spacing"])
     left_out = [v.name for v, s in zip(views, sources) if not s]
