@@ -99,7 +99,7 @@ def test_the_ball_is_covered(cloud):
 
 
 def test_threads_change_no_bit(cloud, monkeypatch):
-    monkeypatch.setattr(points, "workers", lambda: 1)
+    monkeypatch.setattr(points, "cores", lambda: 1)
     again = points.run(*ball(), OPTIONS, Silent())
     for name in ("points", "normals", "colours", "views"):
         assert getattr(again, name).tobytes() == getattr(cloud, name).tobytes(), name

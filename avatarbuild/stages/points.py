@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import tempfile
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -20,6 +19,7 @@ from avatarbuild.geometry.depth_maps import Search
 from avatarbuild.geometry.fusion import Agreement
 from avatarbuild.geometry.stereo_views import Region, StereoView
 from avatarbuild.options import PointsOptions
+from avatarbuild.parallel import cores
 from avatarbuild.progress import Progress, Task
 
 log = logging.getLogger(__name__)
@@ -88,14 +88,9 @@ def run(capture: Capture, cameras: Cameras, options: PointsOptions, progress: Pr
     return Cloud(points[keep], normals[keep], colours[keep], seen[keep], figures, warnings)
 
 
-def workers() -> int:
-    """Threads at work: the cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def in_threads(work: Callable[[int], Any], items: Iterable[int], task: Task, share: float) -> list[Any]:
     """[work(i) for i in items], on all cores; each advances `task` by `share`."""
-    with ThreadPoolExecutor(workers()) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         futures = [pool.submit(work, i) for i in items]
         try:
             for future in as_completed(futures):
