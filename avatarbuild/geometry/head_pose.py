@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from avatarbuild.geometry.similarity import similarity
+
 
 class HeadPose(NamedTuple):
     """
@@ -32,10 +34,7 @@ def head_pose(model: np.ndarray, weight: np.ndarray, points: np.ndarray) -> Head
     w = weight / weight.sum()
     middle, target = w @ model, w @ points
     a, b = model - middle, points - target
-    u, s, vt = np.linalg.svd((b * w[:, None]).T @ a)
-    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    rotation = (u * sign) @ vt
-    scale = float((s * sign).sum() / (w @ (a**2).sum(1)))
+    scale, rotation, _ = similarity(model, points, weight)
     left = scale * a @ rotation.T - b
     misfit = float(np.sqrt(w @ (left**2).sum(1))) / scale
     return HeadPose(rotation, scale, target[:2], misfit)
