@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from avatarbuild.formats import ply
-from avatarbuild.formats.images import decode_jpeg
+from avatarbuild.formats.images import decode_jpeg, decode_png, encode_png
+from avatarbuild.template import Template
 
 if TYPE_CHECKING:
     import pycolmap
@@ -243,6 +244,105 @@ class Cloud:
     @staticmethod
     def load(folder: Path) -> Cloud:
         return Cloud(*ply.read_cloud((folder / "points.ply").read_bytes()))
+
+
+_NEUTRAL_ARRAYS = (
+    *("vertices", "coefficients", "model", "eye_centres", "eye_radius", "head_from_cloud", "seen", "distance"),
+)
+
+
+@dataclass(frozen=True)
+class Neutral:
+    """
+    The person's neutral head in the template's topology (n vertices of all parts), millimetres, in the head frame:
+    x to the subject's left, y up, z out of the face, origin midway between the eyeballs' centres.
+
+    vertices         (n, 3)
+    coefficients     (p,) of the morphable model's fit, in standard deviations
+    model            (n, 3) the morphable model alone, before the thin shell
+    eye_centres      (2, 3) of the left and right eyeball;  eye_radius (2,) mm
+    head_from_cloud  (4, 4) takes the cameras' and the cloud's frame to this one, without scaling
+    seen             (n,) in [0, 1]: how far the cloud, and not the prior, decided where a vertex lies
+    distance         (n,) mm from the vertex to the cloud along its normal, NaN where the cloud says nothing
+    eye_texture      (s, s, 3) uint8 sRGB, the eyeballs' in the template's UV of one eye, scaled to the whole square
+    """
+
+    vertices: np.ndarray
+    coefficients: np.ndarray
+    model: np.ndarray
+    eye_centres: np.ndarray
+    eye_radius: np.ndarray
+    head_from_cloud: np.ndarray
+    seen: np.ndarray
+    distance: np.ndarray
+    eye_texture: np.ndarray
+    figures: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def stamped(self) -> dict[str, Any]:
+        """What stamp.json says of this artefact besides its figures."""
+        return {"head_from_cloud": self.head_from_cloud.tolist()}
+
+    def save(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / "neutral.npz").open("wb") as f:
+            np.savez(f, **{name: getattr(self, name) for name in _NEUTRAL_ARRAYS})
+        triangles = Template.load().triangles
+        (folder / "neutral.ply").write_bytes(ply.mesh_bytes(self.vertices, triangles))
+        (folder / "eye.png").write_bytes(encode_png(self.eye_texture))
+
+    @staticmethod
+    def load(folder: Path) -> Neutral:
+        with np.load(folder / "neutral.npz") as arrays:
+            values = {name: arrays[name] for name in _NEUTRAL_ARRAYS}
+        return Neutral(**values, eye_texture=decode_png((folder / "eye.png").read_bytes()))
+
+
+@dataclass(frozen=True)
+class Blendshapes:
+    """
+    The person's rig: x(w) = neutral + sum_j w_j deltas_j, then each eyeball turned about its centre.
+
+    neutral (n, 3) mm in the head frame; deltas (52, n, 3) float32 mm at weight 1, in ARKit's order; eye_centres (2, 3).
+    """
+
+    neutral: np.ndarray
+    deltas: np.ndarray
+    eye_centres: np.ndarray
+    figures: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+    def save(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / "blendshapes.npz").open("wb") as f:
+            deltas = self.deltas.astype(np.float32)
+            np.savez(f, neutral=self.neutral, deltas=deltas, eye_centres=self.eye_centres)
+
+    @staticmethod
+    def load(folder: Path) -> Blendshapes:
+        with np.load(folder / "blendshapes.npz") as arrays:
+            return Blendshapes(arrays["neutral"], arrays["deltas"], arrays["eye_centres"])
+
+
+@dataclass(frozen=True)
+class Avatar:
+    """The deliverables: file name -> bytes (avatar.glb, avatar.json, report.html, …)."""
+
+    files: dict[str, bytes]
+    figures: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+    def save(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, data in self.files.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(data)
+
+    @staticmethod
+    def load(folder: Path) -> Avatar:
+        files = [path for path in sorted(folder.rglob("*")) if path.is_file() and path.name != "stamp.json"]
+        return Avatar({path.relative_to(folder).as_posix(): path.read_bytes() for path in files})
 
 
 def _write_json(path: Path, value: Any) -> None:

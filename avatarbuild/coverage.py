@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from avatarbuild.formats.images import encode_png
 from avatarbuild.survey import Survey
 
 _WIDTH, _HEIGHT = 1200, 720
@@ -55,7 +56,7 @@ def draw(photos: Survey | None, max_yaw: float) -> bytes:
         cv2.putText(canvas, word, (166 + 190 * j, 700), _FONT, 0.5, _INK, 1, cv2.LINE_AA)
     cv2.rectangle(canvas, (908, 684), (930, 704), _LACK, -1)
     cv2.putText(canvas, "no photo from here", (938, 700), _FONT, 0.5, _INK, 1, cv2.LINE_AA)
-    return cv2.imencode(".png", cv2.cvtColor(canvas, cv2.COLOR_RGB2BGR))[1].tobytes()
+    return encode_png(canvas)
 
 
 def _x(yaw: float) -> int:

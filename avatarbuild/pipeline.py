@@ -184,6 +184,7 @@ def _run_stage(
         "options": dataclasses.asdict(chosen),
         "figures": artefact.figures,
         "warnings": artefact.warnings,
+        **getattr(artefact, "stamped", {}),
         "timing": {"started": started.isoformat(timespec="seconds"), "seconds": round(seconds, 2)},
     }
     project.save(stage.name, artefact, stamp)

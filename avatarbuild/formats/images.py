@@ -129,6 +129,18 @@ def encode_jpeg(rgb: np.ndarray, quality: int) -> bytes:
     return data.tobytes()
 
 
+def decode_png(data: bytes) -> np.ndarray:
+    """(h, w, 3) uint8 of a PNG file's bytes as stored. Raises ValueError."""
+    return decode_jpeg(data)  # the decoder goes by the bytes
+
+
+def encode_png(rgb: np.ndarray) -> bytes:
+    """A PNG file's bytes of (h, w, 3) or (h, w) uint8: no metadata, the same bytes every time."""
+    done, data = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR) if rgb.ndim == 3 else rgb)
+    assert done
+    return data.tobytes()
+
+
 def upright(rgb: np.ndarray, orientation: int) -> np.ndarray:
     """(h, w, 3) or (w, h, 3): the picture turned as EXIF's orientation 1 to 8 asks."""
     if orientation >= 5:

@@ -1,4 +1,4 @@
-"""Point clouds as binary little-endian PLY."""
+"""Point clouds and meshes as binary little-endian PLY."""
 
 from __future__ import annotations
 
@@ -40,3 +40,15 @@ def read_cloud(data: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndar
         raise ValueError("not a point cloud written by this program")
     stack = lambda names: np.stack([rows[name] for name in names], axis=1)  # noqa: E731
     return stack(["x", "y", "z"]), stack(["nx", "ny", "nz"]), stack(["red", "green", "blue"]), rows["views"].copy()
+
+
+def mesh_bytes(vertices: np.ndarray, triangles: np.ndarray) -> bytes:
+    """A PLY file of vertices (n, 3), stored as float32, and triangles (m, 3)."""
+    header = [
+        *("ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"),
+        *(f"property float {axis}" for axis in "xyz"),
+        *(f"element face {len(triangles)}", "property list uchar int vertex_indices", "end_header"),
+    ]
+    faces = np.empty(len(triangles), np.dtype([("count", "u1"), ("corners", "<i4", 3)]))
+    faces["count"], faces["corners"] = 3, triangles
+    return ("\n".join(header) + "\n").encode("ascii") + vertices.astype("<f4").tobytes() + faces.tobytes()

@@ -1,0 +1,1 @@
+"""One file an equation group: linear energies give (A, b), others residual and Jacobian."""

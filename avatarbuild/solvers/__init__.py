@@ -1,0 +1,1 @@
+"""Sparse least squares and their kin; they know no energy."""
