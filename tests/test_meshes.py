@@ -62,4 +62,5 @@ def test_a_mesh_file_is_read_by_others(tmp_path, skin: tuple[np.ndarray, np.ndar
 
     (tmp_path / "m.ply").write_bytes(mesh_bytes(*skin))
     mesh = trimesh.load(tmp_path / "m.ply", process=False)
-    assert np.allclose(mesh.vertices, skin[0], atol=1e-4) and np.array_equal(mesh.faces, skin[1])
+    assert np.allclose(mesh.vertices, skin[0], atol=1e-4)
+    assert np.array_equal(mesh.faces, skin[1])
