@@ -74,6 +74,14 @@ class PointsOptions:
     eyeballs: bool = option(False, "", "Keep the points between the lids; eyes shine and turn between photos.")
 
 
+@dataclass(frozen=True)
+class AvatarOptions:
+    """avatar.glb and avatar.json."""
+
+    least_motion: float = option(0.004, "mm", "Smaller displacements of a vertex in a shape are left out.", least=0.0)
+    least_turn: float = option(0.2, "degrees", "Smaller turns of a vertex's normal in a shape are left out.", least=0.0)
+
+
 STAGE_OPTIONS: dict[str, type] = {"capture": CaptureOptions, "cameras": CamerasOptions, "points": PointsOptions}
 
 
