@@ -1,0 +1,256 @@
+"""
+avatar.glb: the head with its 52 shapes, inner parts and eyeballs, as docs/formats.md lays it out.
+
+Millimetres in the head frame come in, metres in the same axes go out; texture coordinates are turned upside down, since
+glTF counts v from the top. n vertices of the template, e = 52 shapes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from avatarbuild import __version__
+from avatarbuild.formats.gltf import Writer
+from avatarbuild.geometry.meshes import vertex_normals
+from avatarbuild.template import COMBINATION_LIMITS, Template
+
+METRES = 1e-3  # a millimetre
+NODES = {"skin": "head"}  # the template's name of a part -> the node's and mesh's, where they differ
+EYES = ("eye_left", "eye_right")
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a surface looks like: sRGB colour where no picture says it, and roughness."""
+
+    name: str
+    colour: tuple[float, float, float]
+    roughness: float
+
+
+# Wet surfaces are smoother than skin; the cornea mirrors windows.
+LOOKS = {
+    "skin": Look("skin", (0.78, 0.6, 0.51), 0.5),
+    "eye_left": Look("eye", (0.9, 0.88, 0.86), 0.08),
+    "eye_right": Look("eye", (0.9, 0.88, 0.86), 0.08),
+    "teeth_upper": Look("teeth", (0.89, 0.85, 0.76), 0.22),
+    "teeth_lower": Look("teeth", (0.89, 0.85, 0.76), 0.22),
+    "gums": Look("gums", (0.72, 0.4, 0.39), 0.3),
+    "tongue": Look("tongue", (0.74, 0.4, 0.4), 0.4),
+}
+
+
+@dataclass(frozen=True)
+class Rig:
+    """
+    neutral (n, 3) mm; deltas (e, n, 3) mm at weight 1; eye_centres (2, 3) mm. In a shape, displacements below
+    `least_motion` mm and turns of normals below `least_turn` degrees are left out.
+    """
+
+    neutral: np.ndarray
+    deltas: np.ndarray
+    eye_centres: np.ndarray
+    least_motion: float
+    least_turn: float
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """
+    PNG or JPEG files. Those of the head lie in the template's UV: albedo sRGB, normal with +Y up, occlusion in R;
+    the eye's fills the square of its own UV and serves both eyes.
+    """
+
+    eye: bytes | None = None
+    albedo: bytes | None = None
+    normal: bytes | None = None
+    occlusion: bytes | None = None
+
+
+@dataclass(frozen=True)
+class Made:
+    """
+    The file, and what went into it: vertices and triangles of each mesh, each mesh's shapes without effect, the largest
+    displacement (mm) that was left out.
+    """
+
+    glb: bytes
+    sizes: dict[str, tuple[int, int]]
+    without_effect: dict[str, list[str]]
+    left_out: float
+
+
+@dataclass(frozen=True)
+class SplitPart:
+    """
+    A part cut along its texture's seams: sources (v,) the part's vertices, uv (v, 2), triangles (m, 3) into them.
+
+    The part's own vertices come first, in their order; second and further copies at seams follow.
+    """
+
+    sources: np.ndarray
+    uv: np.ndarray
+    triangles: np.ndarray
+
+
+def split_at_seams(triangles: np.ndarray, uv_triangles: np.ndarray, uv: np.ndarray, n: int) -> SplitPart:
+    """One vertex for every pair (vertex, texture coordinate) that a corner of triangles (m, 3) uses; n vertices."""
+    pairs, corner = np.unique(
+        np.stack([triangles.ravel(), uv_triangles.ravel()], axis=1).astype(np.int64), axis=0, return_inverse=True
+    )
+    first = np.diff(pairs[:, 0], prepend=-1) > 0
+    place = np.empty(len(pairs), np.int64)
+    place[first] = pairs[first, 0]
+    place[~first] = n + np.arange(int((~first).sum()))
+    sources = np.concatenate([np.arange(n), pairs[~first, 0]])
+    coordinates = np.zeros((len(sources), 2))  # a vertex without triangles has none
+    coordinates[place] = uv[pairs[:, 1]]
+    return SplitPart(sources, coordinates, place[corner.reshape(-1)].reshape(-1, 3))
+
+
+def part_uv(template: Template, part: str) -> np.ndarray:
+    """(u, 2) the template's texture coordinates, the part's own box stretched over the whole square."""
+    used = template.uv[np.unique(template.uv_triangles[template.parts[part].triangles])]
+    low, high = used.min(axis=0), used.max(axis=0)
+    return np.clip((template.uv - low) / np.maximum(high - low, 1e-12), 0, 1)
+
+
+def linear(colour: np.ndarray) -> np.ndarray:
+    """Linear light of sRGB values in 0..1."""
+    c = np.asarray(colour, np.float64)
+    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+
+
+def write(
+    template: Template, rig: Rig, pictures: Pictures, skin_colour: np.ndarray | None, extras: dict[str, Any]
+) -> Made:
+    """
+    avatar.glb of a rig in the template's topology. `skin_colour` (3,) sRGB in 0..1 stands where there is no albedo;
+    `extras` are added to the file's own.
+    """
+    writer = Writer(f"avatarbuild {__version__}")
+    materials = _materials(writer, template, pictures, skin_colour)
+    normals = unit_normals(rig.neutral, template.triangles)
+    turns = np.stack([unit_normals(rig.neutral + d, template.triangles) - normals for d in rig.deltas.astype(float)])
+    nodes: dict[str, int] = {}
+    sizes: dict[str, tuple[int, int]] = {}
+    without_effect: dict[str, list[str]] = {}
+    left_out = 0.0
+    for part, where in template.parts.items():
+        name = NODES.get(part, part)
+        eye = EYES.index(part) if part in EYES else None
+        centre = np.zeros(3) if eye is None else rig.eye_centres[eye]
+        uv = template.uv if eye is None else part_uv(template, part)
+        v = where.vertices
+        split = split_at_seams(
+            template.triangles[where.triangles] - v.start,
+            template.uv_triangles[where.triangles],
+            uv,
+            v.stop - v.start,
+        )
+        attributes = {
+            "POSITION": writer.attribute((rig.neutral[v] - centre)[split.sources] * METRES, bounds=True),
+            "NORMAL": writer.attribute(normals[v][split.sources]),
+        }
+        if part == "skin" or eye is not None or pictures.albedo is not None:
+            attributes["TEXCOORD_0"] = writer.attribute(np.stack([split.uv[:, 0], 1 - split.uv[:, 1]], axis=1))
+        primitive: dict[str, Any] = {
+            "attributes": attributes,
+            "indices": writer.indices(split.triangles),
+            "material": materials[part],
+        }
+        mesh: dict[str, Any] = {"name": name, "primitives": [primitive]}
+        if eye is None:
+            targets, still, omitted = _targets(writer, template, rig, turns, v, split)
+            primitive["targets"] = targets
+            mesh["weights"] = [0.0] * len(targets)
+            mesh["extras"] = {"targetNames": list(template.expression_names), "noEffect": still}
+            without_effect[name] = still
+            left_out = max(left_out, omitted)
+        sizes[name] = (len(split.sources), len(split.triangles))
+        node: dict[str, Any] = {"name": name, "mesh": writer.add("meshes", mesh)}
+        if eye is not None:
+            node["translation"] = (centre * METRES).tolist()
+            node["extras"] = {"eyeLook": eye_look(template, part)}
+        nodes[part] = writer.add("nodes", node)
+    # the head carries what is inside it, so that one pose moves all
+    writer.tree["nodes"][nodes["skin"]]["children"] = [index for part, index in nodes.items() if part != "skin"]
+    writer.tree["scenes"] = [{"name": "avatar", "nodes": [nodes["skin"]]}]
+    writer.tree["scene"] = 0
+    writer.tree["extras"] = {
+        "eyeLook": {name: about for eye in EYES for name, about in eye_look(template, eye).items()},
+        "weightLimits": [{"shape": shape, "atMost": limit} for shape, limit in COMBINATION_LIMITS],
+        **extras,
+    }
+    return Made(writer.glb(), sizes, without_effect, left_out)
+
+
+def unit_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(n, 3) vertex normals; +z where there is none, since glTF allows no zero."""
+    normals = vertex_normals(vertices, triangles)
+    normals[np.linalg.norm(normals, axis=1) < 0.5] = (0.0, 0.0, 1.0)
+    return normals
+
+
+def eye_look(template: Template, part: str) -> dict[str, Any]:
+    """eyeLook name -> node, axis (in the head's axes, right-handed) and degrees at weight 1, of one eye."""
+    return {
+        name: {
+            "node": f"eye_{turn.eye}",
+            "axis": [float(a) + 0.0 for a in turn.axis],
+            "degrees": float(turn.degrees),
+        }
+        for name, turn in template.eye_rotations.items()
+        if f"eye_{turn.eye}" == part
+    }
+
+
+def _targets(
+    writer: Writer, template: Template, rig: Rig, turns: np.ndarray, v: slice, split: SplitPart
+) -> tuple[list[dict[str, int]], list[str], float]:
+    """The part's morph targets, the names of those without effect, and the largest displacement left out, in mm."""
+    targets, still, left_out = [], [], 0.0
+    for name, moved, turned in zip(template.expression_names, rig.deltas[:, v], turns[:, v], strict=True):
+        size = np.linalg.norm(moved, axis=1)
+        moves = size >= max(rig.least_motion, 1e-12)
+        left_out = max(left_out, float(size[~moves].max(initial=0.0)))
+        turning = np.linalg.norm(turned, axis=1) >= max(2 * np.sin(np.radians(rig.least_turn) / 2), 1e-12)
+        target = {}
+        for semantic, values, kept in (("POSITION", moved * METRES, moves), ("NORMAL", turned, turning)):
+            rows = np.flatnonzero(kept[split.sources])
+            target[semantic] = writer.sparse(rows, values[split.sources[rows]], len(split.sources))
+        targets.append(target)
+        if not moves.any():
+            still.append(name)
+    return targets, still, left_out
+
+
+def _materials(
+    writer: Writer, template: Template, pictures: Pictures, skin_colour: np.ndarray | None
+) -> dict[str, int]:
+    """Part -> material. With an albedo, all parts but the eyes take their colour from it."""
+    albedo = None if pictures.albedo is None else writer.texture(pictures.albedo, "albedo")
+    eye = None if pictures.eye is None else writer.texture(pictures.eye, "eye")
+    made: dict[str, int] = {}
+    of_look: dict[str, int] = {}
+    for part in template.parts:
+        look = LOOKS[part]
+        if look.name not in of_look:
+            texture = eye if part in EYES else albedo
+            surface: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": look.roughness}
+            if texture is not None:
+                surface["baseColorTexture"] = {"index": texture}
+            else:
+                colour = look.colour if part != "skin" or skin_colour is None else skin_colour
+                surface["baseColorFactor"] = [*np.round(linear(np.asarray(colour)), 6).tolist(), 1.0]
+            material: dict[str, Any] = {"name": look.name, "pbrMetallicRoughness": surface}
+            if part == "skin" and pictures.normal is not None:
+                material["normalTexture"] = {"index": writer.texture(pictures.normal, "normal")}
+            if part == "skin" and pictures.occlusion is not None:
+                material["occlusionTexture"] = {"index": writer.texture(pictures.occlusion, "occlusion")}
+            of_look[look.name] = writer.add("materials", material)
+        made[part] = of_look[look.name]
+    return made
