@@ -1,0 +1,407 @@
+"""Stage avatar: avatar.glb parsed back against the rig it was made of, the contract point by point, avatar.json."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import re
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pycolmap
+import pytest
+import synthetic
+import validator
+
+from avatarbuild import __version__
+from avatarbuild.artefacts import Avatar, Blendshapes, Cameras, Capture, Clip, Cloud, Neutral, Views
+from avatarbuild.formats import avatar_glb
+from avatarbuild.formats.gltf import Gltf, read_glb
+from avatarbuild.formats.images import encode_jpeg, encode_png
+from avatarbuild.geometry.meshes import vertex_normals
+from avatarbuild.options import AvatarOptions
+from avatarbuild.progress import Silent
+from avatarbuild.simulation.subject import random_subject
+from avatarbuild.stages import avatar
+from avatarbuild.template import ARKIT_NAMES
+
+SCHEMA = json.loads((Path(__file__).parent.parent / "docs" / "schemas" / "avatar.schema.json").read_text())
+MORPHED = {"head": "skin", **{name: name for name in ("teeth_upper", "teeth_lower", "gums", "tongue")}}
+EYES = ("eye_left", "eye_right")
+SKIN = np.array([200, 150, 130], np.uint8)
+OPTIONS = AvatarOptions()
+
+
+def views(count: int, folder: str) -> Views:
+    """Images of which nothing but names is known."""
+    names = [f"IMG_{i:04d}" for i in range(count)]
+    unknown = np.full(count, np.nan)
+    return Views(
+        names=names,
+        files=[f"{folder}/{name}.jpg" for name in names],
+        images=[],
+        size=np.full((count, 2), 100),
+        focal=unknown,
+        lens=np.zeros(count, int),
+        time=unknown,
+        sharpness=unknown,
+        exposure=unknown,
+        white_balance=np.full((count, 2), np.nan),
+        clipped=unknown,
+        landmarks=np.full((count, 478, 3), np.nan),
+        presence=unknown,
+        scores=np.full((count, 52), np.nan),
+        pose=np.full((count, 3), np.nan),
+    )
+
+
+@cache
+def person() -> tuple[Capture, Cameras, Cloud, Neutral, Blendshapes]:
+    """Artefacts of a random head, with a cloud of one colour that lies in another frame; a clip was filmed."""
+    template = synthetic.template()
+    subject = random_subject(template, np.random.default_rng(5))
+    turn, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))
+    place = np.eye(4)
+    place[:3, :3], place[:3, 3] = turn * np.sign(np.linalg.det(turn)), (20, -30, 500)
+    n = template.vertex_count
+    skin = subject.neutral[template.parts["skin"].vertices]
+    points = (skin - place[:3, 3]) @ place[:3, :3]  # the inverse of x -> R x + t
+    colours = np.tile(SKIN, (len(points), 1))
+    colours[template.regions["lips"][: len(points)]] = (255, 0, 0)
+    cloud = Cloud(
+        points.astype(np.float32), np.zeros_like(points, np.float32), colours, np.full(len(points), 3, np.uint8)
+    )
+    eye = np.random.default_rng(1).integers(0, 255, (32, 32, 3)).astype(np.uint8)
+    neutral = Neutral(
+        vertices=subject.neutral,
+        coefficients=subject.identity,
+        model=subject.neutral,
+        eye_centres=subject.eye_centres,
+        eye_radius=np.full(2, 12.0),
+        head_from_cloud=place,
+        seen=np.ones(n),
+        distance=np.full(n, np.nan),
+        eye_texture=eye,
+        figures={"distance_mm": float("nan"), "rounds": np.int64(7)},
+    )
+    shapes = Blendshapes(subject.neutral, subject.expressions.astype(np.float32), subject.eye_centres)
+    clip = Clip("video/MOV_0001.mp4", (100, 200), 30.0, np.arange(3) / 30, 100.0, np.arange(1), views(1, "video"))
+    capture = Capture(views(3, "photos"), clip, 1, np.ones(3, bool), True, warnings=["light: uneven"])
+    cameras = Cameras(pycolmap.Reconstruction(), True, {"source": "iris", "relative_sd": 0.043, "iris_mm": 11.7})
+    return capture, cameras, cloud, neutral, shapes
+
+
+@cache
+def built() -> Avatar:
+    return avatar.run(*person(), OPTIONS, Silent())
+
+
+def glb() -> Gltf:
+    return read_glb(built().files["avatar.glb"])
+
+
+def primitive(gltf: Gltf, mesh: str) -> dict[str, Any]:
+    (one,) = gltf.named("meshes", mesh)["primitives"]
+    return one
+
+
+def attribute(gltf: Gltf, mesh: str, semantic: str) -> np.ndarray:
+    return gltf.accessor(primitive(gltf, mesh)["attributes"][semantic])
+
+
+def target(gltf: Gltf, mesh: str, shape: str, semantic: str = "POSITION") -> np.ndarray:
+    return gltf.accessor(primitive(gltf, mesh)["targets"][ARKIT_NAMES.index(shape)][semantic])
+
+
+def own(mesh: str) -> slice:
+    """The template's vertices of a mesh."""
+    return synthetic.template().parts[MORPHED.get(mesh, mesh)].vertices
+
+
+def count(mesh: str) -> int:
+    return own(mesh).stop - own(mesh).start
+
+
+# the file as others see it
+
+
+@pytest.mark.parametrize("pictures", [False, True])
+def test_validator(pictures: bool) -> None:
+    if not pictures:
+        assert validator.issues(built().files["avatar.glb"]) == []
+        return
+    *_, shapes = person()
+    rig = avatar_glb.Rig(shapes.neutral, shapes.deltas, shapes.eye_centres, 0.004, 0.2)
+    flat = np.full((8, 8, 3), 128, np.uint8)
+    maps = avatar_glb.Pictures(eye=encode_png(flat), albedo=encode_jpeg(flat, 90), occlusion=encode_png(flat + 1))
+    made = avatar_glb.write(synthetic.template(), rig, maps, None, {})
+    assert validator.issues(made.glb, worst=2) == []
+    tree = read_glb(made.glb).tree
+    skin = tree["materials"][primitive(read_glb(made.glb), "head")["material"]]
+    assert "baseColorFactor" not in skin["pbrMetallicRoughness"]
+    assert tree["images"][0]["mimeType"] == "image/jpeg"
+
+
+def test_readers_that_leave_out_inner_parts_by_name_see_the_head_alone() -> None:
+    inner = re.compile("eye(?!brow)|teeth|tooth|tongue|gum|lash|hair", re.IGNORECASE)
+    nodes = [node for node in glb().tree["nodes"] if not inner.search(node["name"])]
+    assert [node["name"] for node in nodes] == ["head"]
+
+
+def test_size() -> None:
+    assert len(built().files["avatar.glb"]) < 8e6
+
+
+def test_same_bytes_twice() -> None:
+    assert avatar.run(*person(), OPTIONS, Silent()).files == built().files
+
+
+# the contract
+
+
+def test_asset_and_nodes() -> None:
+    gltf = glb()
+    assert gltf.tree["asset"] == {"version": "2.0", "generator": f"avatarbuild {__version__}"}
+    assert "extensionsUsed" not in gltf.tree
+    nodes = gltf.tree["nodes"]
+    assert gltf.tree["scenes"][gltf.tree["scene"]]["nodes"] == [nodes.index(gltf.named("nodes", "head"))]
+    children = {nodes[i]["name"] for i in gltf.named("nodes", "head")["children"]}
+    assert children == {*MORPHED, *EYES} - {"head"}
+    for node in nodes:
+        assert gltf.tree["meshes"][node["mesh"]]["name"] == node["name"]
+        assert not {"rotation", "scale", "matrix"} & set(node)
+        assert ("translation" in node) == (node["name"] in EYES)
+
+
+@pytest.mark.parametrize("mesh", MORPHED)
+def test_52_targets_in_one_order(mesh: str) -> None:
+    gltf = glb()
+    about = gltf.named("meshes", mesh)
+    assert tuple(about["extras"]["targetNames"]) == ARKIT_NAMES
+    assert about["weights"] == [0] * 52
+    assert [set(t) for t in primitive(gltf, mesh)["targets"]] == [{"POSITION", "NORMAL"}] * 52
+    accessors = [gltf.tree["accessors"][i] for t in primitive(gltf, mesh)["targets"] for i in t.values()]
+    assert all("sparse" in accessor and "bufferView" not in accessor for accessor in accessors)
+    assert "TANGENT" not in primitive(gltf, mesh)["attributes"]
+
+
+@pytest.mark.parametrize("mesh", MORPHED)
+def test_metres_in_the_template_s_order(mesh: str) -> None:
+    shapes = person()[-1]
+    expected = shapes.neutral[own(mesh)] / 1000
+    np.testing.assert_allclose(attribute(glb(), mesh, "POSITION")[: count(mesh)], expected, atol=2e-8)
+
+
+def test_axes_and_origin() -> None:
+    """+y up, face to +z, x to the subject's left, origin midway between the eyeballs; a head some 0.3 m high."""
+    gltf = glb()
+    head = attribute(gltf, "head", "POSITION")
+    assert 0.2 < np.ptp(head[:, 1]) < 0.45
+    left, right = (np.array(gltf.named("nodes", eye)["translation"]) for eye in EYES)
+    np.testing.assert_allclose(left + right, 0, atol=1e-9)
+    assert 0.025 < left[0] < 0.04
+    template = synthetic.template()
+    nose = template.landmarks(person()[-1].neutral)[1] / 1000
+    assert nose[2] > 0.03
+    assert nose[1] < -0.01
+
+
+@pytest.mark.parametrize("mesh", MORPHED)
+def test_seams_join_copies_of_one_vertex(mesh: str) -> None:
+    """Every corner of every triangle has the template's position and texture coordinate, v from the top."""
+    template, gltf = synthetic.template(), glb()
+    corners = gltf.accessor(primitive(gltf, mesh)["indices"]).reshape(-1, 3)
+    where = template.parts[MORPHED[mesh]].triangles
+    expected = person()[-1].neutral[template.triangles[where]] / 1000
+    np.testing.assert_allclose(attribute(gltf, mesh, "POSITION")[corners], expected, atol=2e-8)
+    if mesh == "head":
+        uv = template.uv[template.uv_triangles[where]]
+        expected_uv = np.stack([uv[..., 0], 1 - uv[..., 1]], axis=-1)
+        np.testing.assert_allclose(attribute(gltf, mesh, "TEXCOORD_0")[corners], expected_uv, atol=1e-7)
+    assert len(np.unique(corners)) == len(attribute(gltf, mesh, "POSITION"))
+
+
+@pytest.mark.parametrize("mesh", [*MORPHED, *EYES])
+def test_normals_are_the_unsplit_mesh_s(mesh: str) -> None:
+    found = attribute(glb(), mesh, "NORMAL")
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-6)
+    expected = vertex_normals(person()[-1].neutral, synthetic.template().triangles)[own(mesh)]
+    np.testing.assert_allclose(found[: count(mesh)], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("mesh", MORPHED)
+def test_shapes(mesh: str) -> None:
+    """What is left out is below the options' limits, and what is kept is kept to float32's rounding."""
+    gltf, shapes, template = glb(), person()[-1], synthetic.template()
+    rest = vertex_normals(shapes.neutral, template.triangles)
+    for name, delta in zip(ARKIT_NAMES, shapes.deltas.astype(np.float64), strict=True):
+        moved = target(gltf, mesh, name)[: count(mesh)] * 1000.0
+        error = np.linalg.norm(moved - delta[own(mesh)], axis=1)
+        assert error.max() <= OPTIONS.least_motion
+        assert error[np.linalg.norm(moved, axis=1) > 0].max(initial=0) < 1e-5
+        turned = vertex_normals(shapes.neutral + delta, template.triangles) - rest
+        found = target(gltf, mesh, name, "NORMAL")[: count(mesh)]
+        assert np.linalg.norm(found - turned[own(mesh)], axis=1).max() <= np.radians(OPTIONS.least_turn) + 1e-6
+
+
+def test_copies_at_seams_move_together() -> None:
+    gltf = glb()
+    place, moved = attribute(gltf, "head", "POSITION"), target(gltf, "head", "jawOpen")
+    n = count("head")
+    original = {tuple(p): i for i, p in enumerate(place[:n].tolist())}
+    sources = [original[tuple(p)] for p in place[n:].tolist()]
+    assert len(sources) > 100
+    np.testing.assert_array_equal(moved[n:], moved[sources])
+
+
+def test_what_has_no_effect_is_declared() -> None:
+    gltf = glb()
+    for mesh in MORPHED:
+        still = [name for name in ARKIT_NAMES if not target(gltf, mesh, name).any()]
+        assert gltf.named("meshes", mesh)["extras"]["noEffect"] == still
+    assert gltf.named("meshes", "head")["extras"]["noEffect"] == ["tongueOut"]
+    lower = gltf.named("meshes", "teeth_lower")["extras"]["noEffect"]
+    assert not {"jawOpen", "jawLeft", "jawRight", "jawForward"} & set(lower)
+    assert "tongueOut" not in gltf.named("meshes", "tongue")["extras"]["noEffect"]
+
+
+def test_eyes_turn_about_their_nodes() -> None:
+    """The balls at a gaze, posed by `extras.eyeLook` alone as a viewer would, are where the rig says."""
+    gltf, shapes, template = glb(), person()[-1], synthetic.template()
+    weights = np.zeros(52)
+    gaze = {"eyeLookUpLeft": 0.5, "eyeLookOutLeft": 0.8, "eyeLookDownRight": 1.0, "eyeLookInRight": 0.3}
+    for name, weight in gaze.items():
+        weights[ARKIT_NAMES.index(name)] = weight
+    expected = template.pose(shapes.neutral, weights, shapes.eye_centres)
+    look = gltf.tree["extras"]["eyeLook"]
+    assert sorted(look) == sorted(name for name in ARKIT_NAMES if name.startswith("eyeLook"))
+    for eye in EYES:
+        node = gltf.named("nodes", eye)
+        turn = sum(
+            (gaze.get(name, 0) * np.radians(about["degrees"]) * np.array(about["axis"]))
+            for name, about in look.items()
+            if about["node"] == eye
+        )
+        angle = np.linalg.norm(turn)
+        x, y, z = turn / angle
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        rotation = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+        ball = attribute(gltf, eye, "POSITION")[: count(eye)] @ rotation.T + node["translation"]
+        np.testing.assert_allclose(ball * 1000, expected[own(eye)], atol=1e-4)
+        assert node["extras"]["eyeLook"] == {name: about for name, about in look.items() if about["node"] == eye}
+        assert "targets" not in primitive(gltf, eye)
+
+
+def test_gaze_goes_where_the_names_say() -> None:
+    gltf = glb()
+    towards = {"Up": (0, 1), "Down": (0, -1)}
+    for name, about in gltf.tree["extras"]["eyeLook"].items():
+        side, left = name.removeprefix("eyeLook"), about["node"] == "eye_left"
+        way = side.removesuffix("Left").removesuffix("Right")
+        assert name.endswith("Left") == left
+        # in: towards the nose, which is -x for the left eye
+        expected = towards.get(way, (1 if (way == "Out") == left else -1, 0))
+        gaze = np.cross(about["axis"], [0, 0, 1])[:2]  # where the axis begins to carry +z
+        np.testing.assert_allclose(gaze, expected, atol=1e-9)
+
+
+def test_both_eyes_wear_the_whole_eye_texture() -> None:
+    gltf = glb()
+    left, right = (attribute(gltf, eye, "TEXCOORD_0") for eye in EYES)
+    np.testing.assert_allclose(left, right, atol=1e-6)
+    np.testing.assert_allclose([left.min(axis=0), left.max(axis=0)], [[0, 0], [1, 1]], atol=1e-6)
+    ball = attribute(gltf, "eye_left", "POSITION")
+    np.testing.assert_allclose(left[ball[:, 2].argmax()], 0.5, atol=0.01)  # the pupil in the middle
+    ahead = np.where(ball[:, 2] > 0.009, ball[:, 1], -1).argmax()
+    assert left[ahead, 1] < 0.3  # above the pupil: nearer to the picture's top
+    material = gltf.tree["materials"][primitive(gltf, "eye_left")["material"]]
+    assert material["name"] == "eye"
+    texture = gltf.tree["textures"][material["pbrMetallicRoughness"]["baseColorTexture"]["index"]]
+    image = gltf.tree["images"][texture["source"]]
+    assert gltf.view(image["bufferView"]) == encode_png(person()[3].eye_texture)
+
+
+def test_skin_has_the_cloud_s_colour_and_not_the_lips() -> None:
+    gltf = glb()
+    skin = gltf.tree["materials"][primitive(gltf, "head")["material"]]["pbrMetallicRoughness"]
+    expected = ((SKIN / 255 + 0.055) / 1.055) ** 2.4
+    np.testing.assert_allclose(skin["baseColorFactor"], [*expected, 1], atol=1e-5)
+    assert skin["metallicFactor"] == 0
+    assert 0.4 <= skin["roughnessFactor"] <= 0.6
+
+
+def test_a_cloud_without_a_face_is_told() -> None:
+    capture, cameras, cloud, neutral, shapes = person()
+    far = dataclasses.replace(cloud, points=cloud.points + 500)
+    made = avatar.run(capture, cameras, far, neutral, shapes, OPTIONS, Silent())
+    assert len(made.warnings) == 1
+    assert validator.issues(made.files["avatar.glb"]) == []
+
+
+def test_extras_say_scale_and_limits() -> None:
+    extras = glb().tree["extras"]
+    assert extras["scale"]["source"] == "iris"
+    assert extras["weightLimits"] == [{"shape": "mouthClose", "atMost": "jawOpen"}]
+
+
+# avatar.json
+
+
+def about(made: Avatar) -> dict[str, Any]:
+    value = json.loads(made.files["avatar.json"])
+    jsonschema.validate(value, SCHEMA)
+    return value
+
+
+def test_provenance() -> None:
+    value = about(built())
+    assert value["files"]["avatar.glb"]["sha256"] == hashlib.sha256(built().files["avatar.glb"]).hexdigest()
+    assert value["capture"]["photos"] == [f"photos/IMG_{i:04d}.jpg" for i in range(3)]
+    assert value["capture"]["frontal"] == "photos/IMG_0001.jpg"
+    assert value["capture"]["video"] == "video/MOV_0001.mp4"
+    assert value["scale"]["relative_sd"] == 0.043
+    assert list(value["shapes"]) == list(ARKIT_NAMES)
+    jaw = person()[-1].deltas[ARKIT_NAMES.index("jawOpen")]
+    assert value["shapes"]["jawOpen"]["largest_mm"] == pytest.approx(np.linalg.norm(jaw, axis=1).max(), abs=1e-3)
+    assert value["no_effect"]["meshes"]["head"] == ["tongueOut"]
+    assert value["no_effect"]["anywhere"] == []
+    assert value["figures"]["neutral"] == {"distance_mm": None, "rounds": 7}
+    assert value["warnings"]["capture"] == ["light: uneven"]
+    assert "timing" not in value
+
+
+def test_photos_alone_give_a_whole_avatar() -> None:
+    capture, *rest = person()
+    made = avatar.run(dataclasses.replace(capture, clip=None), *rest, OPTIONS, Silent())
+    assert made.files["avatar.glb"] == built().files["avatar.glb"]
+    assert about(made)["capture"]["video"] is None
+
+
+def test_saved_and_loaded(tmp_path: Path) -> None:
+    built().save(tmp_path / "avatar")
+    assert sorted(path.name for path in (tmp_path / "avatar").iterdir()) == ["avatar.glb", "avatar.json"]
+    assert Avatar.load(tmp_path / "avatar").files == built().files
+
+
+# cutting along seams
+
+
+def test_two_triangles_cut_apart_in_the_texture() -> None:
+    """A square of two triangles whose halves lie apart in the texture: the shared edge's corners are doubled."""
+    triangles, uv_triangles = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 1, 2], [3, 4, 5]])
+    uv = np.arange(12.0).reshape(6, 2) / 12
+    split = avatar_glb.split_at_seams(triangles, uv_triangles, uv, 4)
+    np.testing.assert_array_equal(split.sources, [0, 1, 2, 3, 0, 2])
+    np.testing.assert_array_equal(split.triangles, [[0, 1, 2], [4, 5, 3]])
+    np.testing.assert_array_equal(split.uv[split.triangles], uv[uv_triangles])
+
+
+def test_without_seams_nothing_is_doubled() -> None:
+    triangles = np.array([[0, 1, 2], [0, 2, 3]])
+    split = avatar_glb.split_at_seams(triangles, triangles, np.zeros((4, 2)), 5)
+    np.testing.assert_array_equal(split.sources, np.arange(5))
+    np.testing.assert_array_equal(split.triangles, triangles)
