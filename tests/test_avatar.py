@@ -405,3 +405,9 @@ def test_without_seams_nothing_is_doubled() -> None:
     split = avatar_glb.split_at_seams(triangles, triangles, np.zeros((4, 2)), 5)
     np.testing.assert_array_equal(split.sources, np.arange(5))
     np.testing.assert_array_equal(split.triangles, triangles)
+
+
+def test_the_order_is_printed_in_the_documentation() -> None:
+    text = (Path(__file__).parent.parent / "docs" / "formats.md").read_text(encoding="utf-8")
+    printed = {int(number): name for number, name in re.findall(r"(\d+) `(\w+)` \|", text)}
+    assert tuple(printed[i] for i in range(52)) == ARKIT_NAMES
