@@ -75,6 +75,15 @@ class PointsOptions:
 
 
 @dataclass(frozen=True)
+class BlendshapesOptions:
+    """Transfer of the template's 52 expressions."""
+
+    contacts: bool = option(
+        True, "", "Keep lids on the eyes, closed lips closed and teeth behind lips; otherwise as transferred."
+    )
+
+
+@dataclass(frozen=True)
 class AvatarOptions:
     """avatar.glb and avatar.json."""
 
