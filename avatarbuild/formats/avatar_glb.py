@@ -60,8 +60,8 @@ class Rig:
 @dataclass(frozen=True)
 class Pictures:
     """
-    PNG or JPEG files. Those of the head lie in the template's UV: albedo sRGB, normal with +Y up, occlusion in R;
-    the eye's fills the square of its own UV and serves both eyes.
+    PNG or JPEG files. In the template's UV: albedo sRGB, of all parts but the eyes; normal with +Y up and occlusion in
+    R, of the skin. The eye's fills the square of its own UV and serves both eyes.
     """
 
     eye: bytes | None = None

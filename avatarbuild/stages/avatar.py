@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import logging
 import math
 from typing import Any
 
@@ -18,8 +17,6 @@ from avatarbuild.formats.images import encode_png
 from avatarbuild.options import AvatarOptions
 from avatarbuild.progress import Progress
 from avatarbuild.template import Template
-
-log = logging.getLogger(__name__)
 
 AVATAR_VERSION = 1
 NEAR = 2.0  # mm: points of the cloud this near a vertex of the face show its colour
@@ -46,7 +43,8 @@ def run(
     )
     with progress.task("avatar.glb", 1) as task:
         pictures = avatar_glb.Pictures(eye=encode_png(neutral.eye_texture))
-        made = avatar_glb.write(template, rig, pictures, colour, {"scale": plain(cameras.scale)})
+        scale = {key: value for key, value in plain(cameras.scale).items() if not isinstance(value, list | dict)}
+        made = avatar_glb.write(template, rig, pictures, colour, {"scale": scale})
         task.advance()
     stages = {
         "capture": capture,
