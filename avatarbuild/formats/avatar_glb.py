@@ -133,8 +133,7 @@ def write(
     """
     writer = Writer(f"avatarbuild {__version__}")
     materials = _materials(writer, template, pictures, skin_colour)
-    normals = unit_normals(rig.neutral, template.triangles)
-    turns = np.stack([unit_normals(rig.neutral + d, template.triangles) - normals for d in rig.deltas.astype(float)])
+    normals, turns = _normals(template, rig)
     nodes: dict[str, int] = {}
     sizes: dict[str, tuple[int, int]] = {}
     without_effect: dict[str, list[str]] = {}
@@ -193,6 +192,26 @@ def unit_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     normals = vertex_normals(vertices, triangles)
     normals[np.linalg.norm(normals, axis=1) < 0.5] = (0.0, 0.0, 1.0)
     return normals
+
+
+def _normals(template: Template, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+    """
+    (n, 3) normals of the neutral, (e, n, 3) how far each shape turns them at weight 1.
+
+    A shape that COMBINATION_LIMITS ties to another never acts alone: its normals are those on top of the other.
+    """
+    limits = dict(COMBINATION_LIMITS)
+    deltas = rig.deltas.astype(np.float64)
+    rest = unit_normals(rig.neutral, template.triangles)
+    posed = [unit_normals(rig.neutral + delta, template.triangles) for delta in deltas]
+    turns = []
+    for j, name in enumerate(template.expression_names):
+        if name not in limits:
+            turns.append(posed[j] - rest)
+            continue
+        i = template.expression_index[limits[name]]
+        turns.append(unit_normals(rig.neutral + deltas[i] + deltas[j], template.triangles) - posed[i])
+    return rest, np.stack(turns)
 
 
 def eye_look(template: Template, part: str) -> dict[str, Any]:
