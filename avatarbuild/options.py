@@ -84,6 +84,26 @@ class BlendshapesOptions:
 
 
 @dataclass(frozen=True)
+class NeutralOptions:
+    """Registration of the template to the cloud."""
+
+    presence: float = option(0.9, "probability", "Least presence score of photos whose landmarks count.", least=0.0)
+    max_yaw: float = option(60.0, "degrees", "Largest head yaw of photos whose landmarks count.", least=10.0)
+    model_prior: float = option(
+        0.5, "mm^2 / 100 sd^2", "Weight of the morphable model's prior against the cloud.", least=0.0
+    )
+    model_landmarks: float = option(0.05, "ratio", "Weight of landmarks beside the cloud, in the last fit.", least=0.0)
+    model_landmark_sd: float = option(2.5, "mm", "Standard deviation of landmarks on the morphable model.", least=0.1)
+    landmark_sd: float = option(6.0, "mm", "Standard deviation of single landmarks on the thin shell.", least=0.1)
+    rim_sd: float = option(0.3, "mm", "Standard deviation across the lids' rims and the seam of the lips.", least=0.05)
+    lip_border_sd: float = option(2.0, "mm", "Standard deviation across the lips' outer border.", least=0.05)
+    slide_sd: float = option(4.0, "mm", "Standard deviation along all these rims.", least=0.05)
+    stretching: float = option(0.3, "mm^2", "Stretching stiffness of the thin shell at the end.", least=0.0)
+    bending: float = option(3.0, "mm^4", "Bending stiffness of the thin shell at the end.", least=1e-6)
+    reach: float = option(2.0, "mm", "Points farther from the thin shell are ignored at the end.", least=0.1)
+
+
+@dataclass(frozen=True)
 class AvatarOptions:
     """avatar.glb and avatar.json."""
 
@@ -91,7 +111,7 @@ class AvatarOptions:
     least_turn: float = option(0.2, "degrees", "Smaller turns of a vertex's normal in a shape are left out.", least=0.0)
 
 
-STAGE_OPTIONS: dict[str, type] = {"capture": CaptureOptions, "cameras": CamerasOptions, "points": PointsOptions}
+STAGE_OPTIONS: dict[str, type] = {"capture": CaptureOptions, "cameras": CamerasOptions, "points": PointsOptions, "neutral": NeutralOptions}
 
 
 def nearest(word: str, words: list[str]) -> str:
