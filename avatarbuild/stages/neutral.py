@@ -18,7 +18,7 @@ from avatarbuild.registration.counterparts import Target, counterparts
 from avatarbuild.registration.eyes import eyeballs
 from avatarbuild.registration.inner_parts import inner_parts
 from avatarbuild.registration.iris_sightings import Photos
-from avatarbuild.registration.iris_texture import iris_texture
+from avatarbuild.registration.iris_texture import eye_texture
 from avatarbuild.registration.lids import lid_fit, settle_lids
 from avatarbuild.registration.morphable import Placement, Step
 from avatarbuild.registration.pins import pins
@@ -29,6 +29,7 @@ from avatarbuild.sfm.metric import Placed, placed_photos
 from avatarbuild.template import Template
 
 LEAST_PHOTOS = 3
+BEYOND_FACE = 0.15  # how much scalp, ears and neck count in the model's fit: hair and collars bend it
 MEASURED = 10.0  # mm: the cloud is looked for this far from the finished head
 FIXED_STEPS = 5
 
@@ -71,7 +72,7 @@ def fit_model(
     template: Template, seen: Sightings, points: Cloud, options: NeutralOptions, told: morphable.Told
 ) -> tuple[Placement, Target]:
     """The morphable model in the cloud's frame, and the cloud weighed for it."""
-    trust = listening(template)
+    trust = listening(template) * np.where(template.regions["face"], 1.0, BEYOND_FACE)
     spread = np.full(478, options.model_landmark_sd)
     now = morphable.fit(template, seen, None, trust, spread, BY_LANDMARKS, morphable.start(template, seen), told)
     believed = cloud_trust(points.points, points.normals, points.colours, now.head(template), template)
@@ -134,9 +135,10 @@ def assemble(
             "eyes_follow_camera": round(balls.follow, 2),
             "lid_gap_mm": round(max(fit.contact, fit.rim), 3),
         }
-        texture, found_iris = iris_texture(views, balls, template)
-        if not found_iris:
-            warnings.append("no photo shows an iris clearly: the eyes have a brown one; retake sharp frontal photos")
+        painted = eye_texture(views, balls, skin, template)
+        texture = painted.texture
+        if not painted.patches:
+            warnings.append("no photo shows an iris clearly: the eyes have a usual one's colour; add a sharp frontal photo")
     inner = inner_parts(template, model.coefficients, skin, centres, radius, turn)
     vertices = inner.vertices
 
