@@ -1,0 +1,198 @@
+"""What the report says: the scale, the verdict, the warnings with what to do, and a sentence for every figure."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from avatarbuild.artefacts import Cameras, Neutral
+from avatarbuild.template import Template
+
+
+class Figure(NamedTuple):
+    """How a figure is shown: its label, its unit, and what it means to a user."""
+
+    label: str
+    unit: str
+    sentence: str
+
+
+class Caution(NamedTuple):
+    """A stage's warning: what was found and what to do."""
+
+    stage: str
+    found: str
+    advice: str
+
+
+FIGURES: dict[str, dict[str, Figure]] = {
+    "capture": {
+        "photos": Figure("Photos", "", "Pictures that could be read; 50 to 80 are good."),
+        "photos_with_face": Figure("With a face", "", "Photos in which the detector found the subject's face."),
+        "photos_trusted": Figure("With trusted landmarks", "", "The face is sure and not turned away too far."),
+        "yaw_range": Figure("Turned from, to", "°", "How far the head is turned in them; −60 to +60 covers the face."),
+        "lenses": Figure("Lenses", "", "Lenses, zooms or picture sizes; one is best."),
+        "face_pixels_per_mm": Figure("Pixels a millimetre", "px/mm", "On the face; 2.5 and more show the skin."),
+        "video": Figure("Video", "", "The film that expressions are learnt from."),
+        "video_seconds": Figure("Its length", "s", "20 to 60 s hold enough expressions."),
+        "frames": Figure("Its frames", "", "All pictures of the video."),
+        "frames_processed": Figure("Frames looked at", "", "The sharpest one in each slice of time."),
+    },
+    "cameras": {
+        "photos": Figure("Photos", "", "Those of the capture."),
+        "placed": Figure("Photos placed", "", "Photos whose standpoint is known; the others are left out."),
+        "points": Figure("Common points", "", "Spots recognised in several photos; they hold the cameras together."),
+        "reprojection_px": Figure("Reprojection error", "px", "How well these spots agree; below 1 is good."),
+        "focal_px": Figure("Focal length", "px", "Of each lens, as it came out."),
+        "features": Figure("Placed by", "", "All of the picture, or the head alone where it turned against the room."),
+        "head_px": Figure(
+            "Head against room", "px", "Misfit of the head's points before and after letting the head move on its own."
+        ),
+        "landmark_spread_mrad": Figure("Landmarks agree within", "mrad", "Of the sight lines; 1 is 0.5 mm at 50 cm."),
+        "iris_mm": Figure("Iris", "mm", "Its width at the scale that is used; people's are 11.7 ± 0.5 wide."),
+        "scale_source": Figure("Scale from", "", "What says how large the head is."),
+        "scale_relative_sd": Figure("Scale's standard error", "", "A share: 0.04 is 6 mm on a head 150 mm wide."),
+    },
+    "points": {
+        "points": Figure("Points", "", "Of the surface that photos agree on; a face takes some 300,000."),
+        "views": Figure("Photos used", "", "Those with a known standpoint."),
+        "reference_views": Figure("Depth maps", "", "Photos that gave a depth of every pixel."),
+        "median_agreeing_views": Figure("Photos agreeing", "", "On half of the points so many photos agree, or more."),
+        "spacing": Figure("Spacing", "mm", "From a point to its neighbour."),
+    },
+}
+
+_VERBS = (
+    *("take", "walk", "step", "add", "keep", "lock", "use", "turn", "film", "remove", "name", "give", "shoot", "copy"),
+    *("the largest face", "the avatar has", "hold", "try", "check", "click", "look", "see", "move", "photograph"),
+    *("convert", "put", "set", "run", "mark", "leave", "open", "tie", "wear", "let", "nothing"),
+)
+# warnings that come without advice: what they say -> what to do
+_ADVICE = (
+    (r"could not be placed", "Shoot in small steps, about 5 degrees apart, sharp, in a room with texture."),
+    (r"head turned against the room", "Nothing is lost; next time sit still and let the photographer walk."),
+    (r"focal length", "Use the phone's original files, without zoom or cropping; capture.toml may state the lens."),
+    (r"no iris is clear", "Give a known length in capture.toml, or take sharp frontal photos with the eyes open."),
+    (r"known length", "Mark its ends in two or more photos that are sharp and show the head."),
+    (r"no dense points", "Nothing, unless the cloud has holes there: then take these photos again."),
+    (r"left out", "Copy the file again or remove it."),
+    (r"the video used is", "Name the right one in capture.toml if this is not it."),
+    (r"the video .* not used", "Nothing, unless it is the one that you meant: then name it in capture.toml."),
+    (r"hair|scalp", "Tie long hair back, or wear a tight cap, where the head's own shape matters."),
+    (r"neck|below the chin", "Add a row of photos from below the chin."),
+)
+_USUAL_ADVICE = {
+    "capture": "See the capture guide; run `avatarbuild check` on a new attempt before the long run.",
+    "cameras": "Take more photos in smaller steps, in a room with texture.",
+    "points": "Take more sharp photos of the region, 10 to 15 degrees apart.",
+    "neutral": "Look at the heat map and the overlays; photos of the region in question mend most faults.",
+}
+_ELSE = "Look at the pictures; if they are fine, nothing."
+
+
+def scale_words(cameras: Cameras) -> tuple[str, str]:
+    """Where the scale comes from, and how far it may be off, each a sentence."""
+    source, sd = cameras.scale.get("source"), cameras.scale.get("relative_sd")
+    if source == "iris":
+        count = cameras.scale.get("iris_count")
+        seen = f", measured {count} times" if count else ""
+        said = f"Scale from the iris{seen}: it is {cameras.scale.get('iris_mm', 11.7):g} mm wide in nearly everybody."
+    elif source == "known length":
+        said = "Scale from the known length that you marked."
+    elif source == "mean face":
+        said = "Scale of a mean face, because no iris was clear enough."
+    else:
+        return "The scale is not known.", "Sizes mean nothing."
+    if sd is None:
+        return said, "Its error is not known."
+    better = "" if source == "known length" else " A known length in capture.toml makes it exact."
+    return said, f"Standard error {100 * sd:.1f} %, which is {150 * sd:.1f} mm on a head 150 mm wide.{better}"
+
+
+def fit(neutral: Neutral, template: Template) -> dict[str, float]:
+    """median and p90 of |distance| (mm) over the face, and the share of the face where the cloud says something."""
+    inner = template.regions["sockets"] | template.regions["mouth"]
+    off = np.abs(neutral.distance[template.regions["face"] & ~inner])
+    known = off[np.isfinite(off)]
+    if not len(known):
+        return {"median": np.nan, "p90": np.nan, "share": 0.0}
+    return {
+        "median": float(np.median(known)),
+        "p90": float(np.quantile(known, 0.9)),
+        "share": len(known) / max(len(off), 1),
+    }
+
+
+def verdict(found: dict[str, float], cautions: int) -> tuple[str, str]:
+    """('good' | 'fair' | 'poor', one line)."""
+    if not found["share"]:
+        return "poor", "No point of the photos’ surface lies on the face: this head is a guess."
+    said = (
+        f"half of the face lies within {found['median']:.2f} mm of the photos’ surface, nine tenths within "
+        f"{found['p90']:.2f} mm; {100 * found['share']:.0f} % of it was seen"
+    )
+    if found["median"] <= 0.4 and found["p90"] <= 1.2 and found["share"] >= 0.8:
+        grade, opening = "good", "A close fit"
+    elif found["median"] <= 0.9 and found["share"] >= 0.5:
+        grade, opening = "fair", "A fair fit"
+    else:
+        grade, opening = "poor", "A loose fit"
+    more = "" if not cautions else f" {cautions} thing{'s' * (cautions > 1)} to look at below."
+    return grade, f"{opening}: {said}.{more}"
+
+
+def cautions(stages: list[dict[str, Any]]) -> list[Caution]:
+    """Every stage's warnings, what was found apart from what to do."""
+    return [
+        Caution(stage["stage"], *split(text, stage["stage"]))
+        for stage in stages
+        for text in stage.get("warnings") or []
+    ]
+
+
+def split(text: str, stage: str) -> tuple[str, str]:
+    """'found; advice' at the last '; ' that opens with an imperative's verb; advice of our own where there is none."""
+    verbs = "|".join(re.escape(verb) for verb in _VERBS)
+    opening = re.search(rf"; (?=(?:{verbs})\b)", text)
+    if opening is not None:
+        return _sentence(text[: opening.start()]), _sentence(text[opening.end() :])
+    for pattern, advice in _ADVICE:
+        if re.search(pattern, text):
+            return _sentence(text), advice
+    return _sentence(text), _USUAL_ADVICE.get(stage, _ELSE)
+
+
+def value(number: Any, unit: str = "") -> str:
+    """A figure as a person reads it: three digits that count, thousands apart."""
+    if number is None:
+        return "—"
+    if isinstance(number, bool):
+        return "yes" if number else "no"
+    if isinstance(number, list | tuple):
+        joint = " to " if len(number) == 2 else ", "
+        return _with(joint.join(value(v) for v in number), unit) if number else "—"
+    if isinstance(number, dict):
+        return ", ".join(f"{name} {value(v)}" for name, v in number.items()) or "—"
+    if isinstance(number, int):
+        text = f"{number:,}".replace(",", "\u202f") if abs(number) >= 10_000 else str(number)
+    elif isinstance(number, float):
+        if not np.isfinite(number):
+            return "—"
+        digits = max(0, 2 - int(np.floor(np.log10(abs(number))))) if number else 0
+        text = f"{number:.{digits}f}" if digits else f"{round(number):,}".replace(",", "\u202f")
+        text = text.rstrip("0").rstrip(".") if "." in text else text
+    else:
+        text = str(number)
+    text = text.replace("-", "−") if isinstance(number, int | float) else text
+    return _with(text, unit)
+
+
+def _with(text: str, unit: str) -> str:
+    return f"{text}\u202f{unit}" if unit == "°" else f"{text} {unit}".strip()
+
+
+def _sentence(text: str) -> str:
+    text = text.strip()
+    return (text[:1].upper() + text[1:]).rstrip(".") + "." if text else text
