@@ -4,6 +4,7 @@ synthetic.template()                   the shipped head (tests are skipped where
 synthetic.capture(photos=10, ...)      a simulated capture folder and its truth
 synthetic.truth(folder)                its cameras and mesh
 synthetic.scene(count, size)           pictures of a textured surface with their cameras, no head involved
+synthetic.neutral(seed)                the head of somebody who is not in the template, as stage neutral hands it on
 """
 
 from __future__ import annotations
@@ -19,12 +20,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from avatarbuild.artefacts import Neutral
 from avatarbuild.errors import InputError
 from avatarbuild.geometry.mipmap import build_mipmap
 from avatarbuild.simulation.capture import SimulationOptions, simulate
 from avatarbuild.simulation.noise import fractal
 from avatarbuild.simulation.photographs import look_at
 from avatarbuild.simulation.rendering import Camera, Lit, draw
+from avatarbuild.simulation.subject import Subject, random_subject
 from avatarbuild.template import Template
 
 
@@ -121,3 +124,31 @@ def scene(count: int = 5, size: tuple[int, int] = (240, 180), spread: float = 40
     nothing = None
     images = np.stack([draw(camera, [patch], [], nothing, 2) for camera in cameras])  # type: ignore[arg-type]
     return Scene(images, cameras, vertices, triangles)
+
+
+@cache
+def person(seed: int) -> Subject:
+    """A random subject of the shipped head: neutral and expressions are outside the template's space."""
+    return random_subject(template(), np.random.default_rng(seed))
+
+
+@cache
+def neutral(seed: int) -> Neutral:
+    """What stage neutral would make of `person(seed)`, were it faultless; the eyeballs' texture is a plain disc."""
+    t, subject = template(), person(seed)
+    n = t.vertex_count
+    origin = t.eye_positions(subject.identity).mean(axis=0)
+    model = t.neutral(subject.identity) - origin
+    y, x = np.mgrid[0:64, 0:64] - 31.5
+    disc = np.where((np.hypot(x, y) < 13)[..., None], [96, 60, 40], [236, 232, 228]).astype(np.uint8)
+    return Neutral(
+        vertices=subject.neutral,
+        coefficients=subject.identity,
+        model=model,
+        eye_centres=subject.eye_centres,
+        eye_radius=np.full(2, 12.0),
+        head_from_cloud=np.eye(4),
+        seen=t.regions["face"].astype(float),
+        distance=np.where(t.regions["face"], 0.0, np.nan) * np.ones(n),
+        eye_texture=disc,
+    )

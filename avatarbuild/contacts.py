@@ -1,0 +1,145 @@
+"""
+What touches in a face: lids and eyeballs, upper and lower lip, lips and teeth; kept by shapes that came from elsewhere.
+
+In every contact the person's shapes do what the template's do, so that nothing changes where the two heads are equal.
+Skin vertices come first in all arrays. n vertices, e expressions; millimetres in the template's frame and size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from avatarbuild.energies import lid_contact, lip_contact, tooth_cover
+from avatarbuild.energies.lid_contact import Eye, LidBand
+from avatarbuild.energies.lip_contact import LipBand
+from avatarbuild.energies.tooth_cover import Mouth
+from avatarbuild.geometry import meshes
+from avatarbuild.solvers.sparse import Factor
+from avatarbuild.template import Template
+
+STILL = 1e-7  # mm: less is no motion
+EYES = ("eye_left", "eye_right")
+LIMITS = (
+    ("lid_gap_mm", 0.3, "closed lids are {} mm off their place on the eyeballs: look at eyeBlink"),
+    ("lid_sunk_mm", 0.6, "eyeballs show through closing lids by {} mm: look at eyeBlink"),
+    ("lips_off_mm", 0.5, "closed lips part or cross by {} mm: look at the mouth shapes"),
+    ("teeth_out_mm", 1.0, "teeth stand {} mm before lips or cheeks: look at the mouth shapes"),
+    ("teeth_out_at_rest_mm", 1.0, "teeth stand {} mm before the closed lips of the neutral head"),
+)
+
+
+@dataclass(frozen=True)
+class Head:
+    """A head at rest: vertices (n, 3) of all parts, eyeball centres (2, 3)."""
+
+    vertices: np.ndarray
+    eye_centres: np.ndarray
+
+
+@dataclass(frozen=True)
+class Lids:
+    """One eye: its side (0 left, 1 right), its band, the template's eye and the person's."""
+
+    side: int
+    band: LidBand
+    source: Eye
+    own: Eye
+
+
+class Contacts:
+    """The contacts of a template and of a person in its topology."""
+
+    def __init__(self, t: Template, person: Head) -> None:
+        self.template, self.person = t, person
+        self.skin = t.parts["skin"].vertices
+        triangles = t.triangles[t.parts["skin"].triangles].astype(np.int64)
+        mean = t.mean[self.skin]
+        graph = meshes.adjacency(len(mean), triangles)
+        upper, lower = t.contours["lips_inner_upper"], t.contours["lips_inner_lower"]
+        self.lips: LipBand = lip_contact.lip_band(mean, graph, upper, lower)
+        self._lip_factor = Factor(self.lips.system)
+        self.lids = [lids for side in (0, 1) if (lids := self._lids(side, triangles, graph)) is not None]
+        rows = [t.triangles[t.parts[name].triangles] for name in ("teeth_upper", "teeth_lower") if name in t.parts]
+        self.mouth: Mouth | None = None
+        if rows and t.regions["mouth"].any():
+            teeth = np.concatenate(rows)
+            inside, face = t.regions["mouth"], t.regions["face"]
+            self.mouth = tooth_cover.mouth_of(t.mean, triangles, graph, inside, face, teeth)
+
+    def _lids(self, side: int, triangles: np.ndarray, graph: np.ndarray) -> Lids | None:
+        t, person = self.template, self.person
+        mean, sockets = t.mean[self.skin], t.regions["sockets"][self.skin]
+        if EYES[side] not in t.parts or not sockets.any():
+            return None
+        ball = t.parts[EYES[side]].vertices
+        eye = lid_contact.eye_of(t.mean[ball], t.eye_centres[side])
+        own = lid_contact.eye_like(person.vertices[ball], person.eye_centres[side], eye, t.mean[ball])
+        other = t.eye_centres[1 - side]
+        near = np.linalg.norm(mean - eye.centre, axis=1) < np.linalg.norm(mean - other, axis=1)
+        return Lids(side, lid_contact.lid_band(mean, triangles, graph, sockets & near, eye), eye, own)
+
+    def close_lips(self, deltas: np.ndarray, poses: np.ndarray) -> np.ndarray:
+        """deltas (k, s, 3) of the s skin vertices, their lips as closed as the template's in its poses (k, s, 3)."""
+        band = self.lips
+        wanted = np.stack([lip_contact.corrections(band, d, p) for d, p in zip(deltas, poses, strict=True)])
+        columns = wanted.transpose(1, 0, 2).reshape(len(band.held), -1)
+        spread = np.zeros((deltas.shape[1], columns.shape[1]))
+        spread[band.held] = columns
+        spread[band.free] = self._lip_factor.solve(band.coupling @ columns)
+        moving = np.linalg.norm(poses, axis=2) > STILL
+        return deltas + spread.reshape(-1, *deltas.shape[::2]).transpose(1, 0, 2) * moving[..., None]
+
+    def lay_lids(self, j: int, delta: np.ndarray) -> np.ndarray:
+        """delta (s, 3) of the skin in shape j, its lids laid onto the person's eyes."""
+        t, rest = self.template, self.person.vertices[self.skin]
+        source, motion = t.mean[self.skin], t.expressions[j, self.skin]
+        moving = np.linalg.norm(motion, axis=1) > STILL
+        turns = t.eye_rotation_matrices(np.eye(len(t.expressions))[j])
+        for lids in self.lids:
+            if moving[lids.band.vertices].any():
+                pose = lid_contact.lid_pose(lids.band, source, source + motion, lids.source, turns[lids.side])
+                laid = lid_contact.lay_on(lids.band, rest, rest + delta, lids.own, pose, lids.source)
+                delta = np.where(moving[:, None], laid - rest, 0)
+        return delta
+
+    def cover_teeth(self, delta: np.ndarray, pose: np.ndarray) -> np.ndarray:
+        """delta (n, 3) with lips and cheeks off the teeth that stand out farther than in the template's pose (n, 3)."""
+        if self.mouth is None or np.abs(pose[self.mouth.lips]).max() < STILL:
+            return delta
+        rest = self.person.vertices
+        covered = self.mouth.covered(rest + delta, self._teeth_allowed(pose)) - rest
+        return np.where((np.linalg.norm(pose, axis=1) > STILL)[:, None], covered, delta)
+
+    def _teeth_allowed(self, pose: np.ndarray) -> np.ndarray:
+        assert self.mouth is not None
+        return np.maximum(self.mouth.poke(self.template.mean + pose), self.mouth.poke(self.person.vertices))
+
+    def figures(self, deltas: np.ndarray, poses: np.ndarray) -> dict[str, float]:
+        """
+        What is left of each contact in mm, in the worst place of all shapes; deltas (e, n, 3) the person's, poses the
+        template's.
+
+        lid_gap    closed lids' contact lines off where the template's lie on its eyeball
+        lid_sunk   the eyeball through the skin of closing lids, at a quarter, half, three quarters, all of the way
+        lips_off   lips that should move as one, apart or crossed
+        teeth_out  teeth before the outer skin, beyond the template's in that pose; teeth_out_at_rest: in the neutral
+        """
+        mean, rest, skin = self.template.mean, self.person.vertices, self.skin
+        worst = dict.fromkeys(("lid_gap_mm", "lid_sunk_mm", "lips_off_mm"), 0.0)
+        if self.mouth is not None:
+            worst["teeth_out_mm"] = 0.0
+            worst["teeth_out_at_rest_mm"] = float(self.mouth.poke(rest).max())
+        for delta, pose in zip(deltas, poses, strict=True):
+            errors = lip_contact.lip_errors(self.lips, delta[skin], pose[skin])
+            found = {"lips_off_mm": max(float(np.abs(e).max()) for e in errors)}
+            for lids in self.lids:
+                closing = lid_contact.lid_pose(lids.band, mean[skin], (mean + pose)[skin], lids.source, np.eye(3))
+                if closing.closes:
+                    gap, sunk = lid_contact.misfit(lids.band, rest[skin], delta[skin], lids.own, closing, lids.source)
+                    found |= {"lid_gap_mm": gap, "lid_sunk_mm": sunk}
+            if self.mouth is not None and np.abs(pose[self.mouth.lips]).max() > STILL:
+                found["teeth_out_mm"] = float((self.mouth.poke(rest + delta) - self._teeth_allowed(pose)).max())
+            worst |= {key: max(worst[key], value) for key, value in found.items()}
+        return worst
