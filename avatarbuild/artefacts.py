@@ -147,6 +147,7 @@ class Capture:
     neutral  (k,) bool: photos with the common, neutral expression, eyes open
     face     True where enough photos show a face for a metric head
     settings what capture.toml says: {'known_length': {...}, ...}
+    digest   SHA-256 over the names and bytes of the capture's files; the runner fills it in
     """
 
     photos: Views
@@ -157,6 +158,7 @@ class Capture:
     settings: dict[str, Any] = field(default_factory=dict)
     figures: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    digest: str = ""
 
     def save(self, folder: Path) -> None:
         self.photos.save(folder / "photos")

@@ -171,11 +171,10 @@ def run(
             raise error
         if not as_json:
             last = ran[-1]["stage"]
-            screen.print(f"{project.root}: done up to stage {last}" + _what_is_missing(last))
-
-
-def _what_is_missing(last: str) -> str:
-    return ", the last one that exists in this version" if last == pipeline.NAMES[-1] and last != "avatar" else ""
+            if last == "avatar":
+                screen.print(f"{project.folder('avatar')}: the avatar; begin with report.html")
+            else:
+                screen.print(f"{project.root}: done up to stage {last}")
 
 
 def _line_json(line: pipeline.StageState) -> dict[str, Any]:

@@ -111,7 +111,14 @@ class AvatarOptions:
     least_turn: float = option(0.2, "degrees", "Smaller turns of a vertex's normal in a shape are left out.", least=0.0)
 
 
-STAGE_OPTIONS: dict[str, type] = {"capture": CaptureOptions, "cameras": CamerasOptions, "points": PointsOptions, "neutral": NeutralOptions}
+STAGE_OPTIONS: dict[str, type] = {
+    "capture": CaptureOptions,
+    "cameras": CamerasOptions,
+    "points": PointsOptions,
+    "neutral": NeutralOptions,
+    "blendshapes": BlendshapesOptions,
+    "avatar": AvatarOptions,
+}
 
 
 def nearest(word: str, words: list[str]) -> str:

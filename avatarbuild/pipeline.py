@@ -18,13 +18,17 @@ from avatarbuild import __version__, artefacts, options
 from avatarbuild.errors import InputError
 from avatarbuild.progress import Progress
 from avatarbuild.project import Project
+from avatarbuild.template import template_folder
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Stage:
-    """A row: `avatarbuild.stages.<name>.run(*needs, options, progress)` makes the artefact."""
+    """
+    A row: `avatarbuild.stages.<name>.run(*needs, options, progress)` makes the artefact; a stage that `reports` is
+    given the stamps of the stages before it as well, as `stamps`.
+    """
 
     name: str
     needs: tuple[str, ...]
@@ -32,13 +36,27 @@ class Stage:
     options: type
     version: int
     sentence: str
+    reports: bool = False
 
 
 STAGES = (
     Stage("capture", (), artefacts.Capture, options.CaptureOptions, 1, "upright photos, video frames, landmarks"),
     Stage("cameras", ("capture",), artefacts.Cameras, options.CamerasOptions, 1, "where each photo was taken from"),
     Stage("points", ("capture", "cameras"), artefacts.Cloud, options.PointsOptions, 1, "a dense cloud of the head"),
+    Stage(
+        *("neutral", ("capture", "cameras", "points"), artefacts.Neutral, options.NeutralOptions, 1),
+        "the person's head: model, thin shell, eyes, teeth",
+    ),
+    Stage(
+        *("blendshapes", ("neutral",), artefacts.Blendshapes, options.BlendshapesOptions, 1),
+        "the 52 expressions on this head",
+    ),
+    Stage(
+        *("avatar", ("capture", "cameras", "points", "neutral", "blendshapes"), artefacts.Avatar),
+        *(options.AvatarOptions, 1, "avatar.glb, avatar.json, report.html", True),
+    ),
 )
+HEAD_STAGES = ("neutral", "blendshapes", "avatar")  # those that make no sense without a face
 NAMES = [stage.name for stage in STAGES]
 
 
@@ -87,9 +105,10 @@ def plan(first: str | None, until: str | None, only: str | None, force: bool) ->
 def keys(capture_digest: str, chosen: dict[str, Any]) -> dict[str, str]:
     """
     What each stage's artefact is made of, as a hash: the stage's version, its options, the keys of the stages that it
-    needs and, for the capture, the bytes of its files.
+    needs, for the capture the bytes of its files, and for the stages that use the head template its bytes.
     """
     made: dict[str, str] = {}
+    template = hashlib.sha256((template_folder() / "head.npz").read_bytes()).hexdigest()
     for stage in STAGES:
         recipe = {
             "stage": stage.name,
@@ -97,6 +116,8 @@ def keys(capture_digest: str, chosen: dict[str, Any]) -> dict[str, str]:
             "options": dataclasses.asdict(chosen[stage.name]),
             "needs": [made[name] for name in stage.needs] or [capture_digest],
         }
+        if stage.name in HEAD_STAGES:
+            recipe["template"] = template
         made[stage.name] = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
     return made
 
@@ -137,12 +158,19 @@ def run(
     def load(name: str) -> Any:
         if name not in loaded:
             stage = STAGES[NAMES.index(name)]
-            loaded[name] = stage.makes.load(project.folder(name))  # type: ignore[attr-defined]
+            made = stage.makes.load(project.folder(name))  # type: ignore[attr-defined]
+            stamp = project.stamp(name) or {}
+            known = {"figures": stamp.get("figures", {}), "warnings": stamp.get("warnings", [])}
+            if name == "capture":
+                known["digest"] = capture_digest
+            loaded[name] = dataclasses.replace(made, **known)
         return loaded[name]
 
     for stage in STAGES:
         if stage.name not in what.selected:
             continue
+        if stage.name == HEAD_STAGES[0] and not load("capture").face:
+            break
         line = before[stage.name]
         if line.state == "fresh" and stage.name not in what.forced and not what.only:
             tell(line, False)
@@ -155,7 +183,7 @@ def run(
         line = _run_stage(project, stage, source, made_of[stage.name], chosen[stage.name], load, progress)
         loaded.pop(stage.name, None)
         tell(line, True)
-    if "points" in what.selected and not what.only and not load("capture").face:
+    if "points" in what.selected and not load("capture").face:
         raise InputError(
             "no face was found in enough photos: the run ends after stage points, and cameras and points are in "
             "COLMAP's own scale; for an avatar, photograph a face (see `avatarbuild check`)"
@@ -175,7 +203,9 @@ def _run_stage(
     started, clock = datetime.now(UTC), time.perf_counter()
     function = importlib.import_module(f"avatarbuild.stages.{stage.name}").run
     inputs = [load(name) for name in stage.needs] or [source]
-    artefact = function(*inputs, chosen, progress)
+    before = [project.stamp(row.name) for row in STAGES if stage.reports and row.name != stage.name]
+    more = {"stamps": [stamp for stamp in before if stamp]} if stage.reports else {}
+    artefact = function(*inputs, chosen, progress, **more)
     seconds = time.perf_counter() - clock
     stamp = {
         "stage": stage.name,

@@ -130,7 +130,9 @@ def sealed_pairs(template: Template) -> np.ndarray:
 def _rows(template: Template, index: np.ndarray, n: int) -> sp.csr_matrix:
     corners = template.triangles[template.landmark_triangles[index]]
     weights = template.landmark_barycentric[index]
-    return sp.csr_matrix((weights.ravel(), (np.repeat(np.arange(len(index)), 3), corners.ravel())), shape=(len(index), n))
+    return sp.csr_matrix(
+        (weights.ravel(), (np.repeat(np.arange(len(index)), 3), corners.ravel())), shape=(len(index), n)
+    )
 
 
 def _forward(model: np.ndarray, template: Template) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from avatarbuild.formats import avatar_glb
 from avatarbuild.formats.images import encode_png
 from avatarbuild.options import AvatarOptions
 from avatarbuild.progress import Progress
+from avatarbuild.report.page import page
 from avatarbuild.template import Template
 
 AVATAR_VERSION = 1
@@ -31,8 +33,9 @@ def run(
     blendshapes: Blendshapes,
     options: AvatarOptions,
     progress: Progress,
+    stamps: Sequence[dict[str, Any]] = (),
 ) -> Avatar:
-    """The files of the avatar folder; each is complete on its own."""
+    """The files of the avatar folder; each is complete on its own. `stamps`: what the stages before left behind."""
     template = Template.load()
     warnings: list[str] = []
     colour = skin_colour(template, neutral, points)
@@ -58,6 +61,9 @@ def run(
         "avatar.glb": made.glb,
         "avatar.json": (json.dumps(about, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode(),
     }
+    with progress.task("report.html", 1) as task:
+        files["report.html"] = page(capture, cameras, points, neutral, blendshapes, template, list(stamps))
+        task.advance()
     figures = {
         "glb_mb": round(len(made.glb) / 1e6, 2),
         "shapes": len(template.expression_names) - len(about["no_effect"]["anywhere"]),

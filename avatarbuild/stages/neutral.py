@@ -138,7 +138,9 @@ def assemble(
         painted = eye_texture(views, balls, skin, template)
         texture = painted.texture
         if not painted.patches:
-            warnings.append("no photo shows an iris clearly: the eyes have a usual one's colour; add a sharp frontal photo")
+            warnings.append(
+                "no photo shows an iris clearly: the eyes have a usual one's colour; add a sharp frontal photo"
+            )
     inner = inner_parts(template, model.coefficients, skin, centres, radius, turn)
     vertices = inner.vertices
 
