@@ -15,7 +15,7 @@ from avatarbuild.registration.eye_shape import EYES, EyeShape, eye_shape, offset
 from avatarbuild.solvers.sparse import Factor
 from avatarbuild.template import Template
 
-HELD, OUTER = 2, 16  # rings outside the rim: the last that moves as the ball says, and the first that stays
+HELD, OUTER = 2, 11  # rings outside the rim: the last that moves as the ball says, and the first that stays
 TOUCHING = 0.3  # mm from the template's eyeball of the vertices that touch it
 FAR = 99
 _FRONT = 0.2  # cosine to the gaze beyond which skin is looked at for poking through
