@@ -1,0 +1,247 @@
+"""
+How near the registered head is to the truth, and what robs it of accuracy.
+
+python benchmarks/neutral.py PROJECT --truth TRUTH --scorer score.py [--trials]
+AVATARBUILD_BENCHMARK=FOLDER stands for --truth FOLDER/truth_b --scorer FOLDER/score.py. The project's stages up to
+neutral must have run. Rows: the head, the morphable model alone, the mean head alone, the cloud alone; with --trials
+also the head from a cloud without half of a cheek, and from one with gross outliers and a cap of hair.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import sys
+import time
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from avatarbuild.artefacts import Cameras, Capture, Cloud, Neutral
+from avatarbuild.geometry.similarity import similarity
+from avatarbuild.options import NeutralOptions
+from avatarbuild.progress import Silent
+from avatarbuild.registration.pins import LID_RIMS, LIP_BORDERS, SEAM
+from avatarbuild.sfm.metric import placed_photos
+from avatarbuild.simulation.truth import order_of
+from avatarbuild.stages import neutral as stage
+from avatarbuild.template import Template
+
+SEED = 11
+PHOTOS = 6  # the most frontal ones, for the overlay of rims
+ICT_EYES = ((21451, 23021), (23021, 24591))  # vertices of the eyeballs in ICT-FaceKit's mesh
+MEGAPIXELS = 2e6  # at which rims are compared
+
+
+def main() -> None:
+    home = os.environ.get("AVATARBUILD_BENCHMARK")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("project", type=Path)
+    parser.add_argument("--truth", type=Path, default=Path(home) / "truth_b" if home else None)
+    parser.add_argument("--scorer", type=Path, default=Path(home) / "score.py" if home else None)
+    parser.add_argument("--trials", action="store_true")
+    a = parser.parse_args()
+    if a.truth is None or a.scorer is None:
+        parser.error("give --truth and --scorer, or set AVATARBUILD_BENCHMARK")
+    scorer = load_scorer(a.scorer)
+    template, truth = Template.load(), scorer.GT(str(a.truth))
+    capture = Capture.load(a.project / "01-capture")
+    cameras = Cameras.load(a.project / "02-cameras")
+    cloud = Cloud.load(a.project / "03-points")
+    made = Neutral.load(a.project / "04-neutral")
+
+    print(f"{'':24s}  median    mean     p90  at landmarks, mm")
+    place = show(scorer, truth, template, "head", made.vertices)
+    show(scorer, truth, template, "morphable model alone", made.model)
+    show(scorer, truth, template, "mean head alone", template.mean)
+    alone(scorer, truth, cloud, made, place)
+    correspondence(truth, template, made, place)
+    eyes(a.truth, truth, template, made, place)
+    rims(template, capture, cameras, made)
+    if a.trials:
+        trials(scorer, truth, template, capture, cameras, cloud, made)
+
+
+def load_scorer(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location("scorer", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["scorer"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def show(
+    scorer: ModuleType, truth: Any, template: Template, name: str, vertices: np.ndarray
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Prints a row; returns the similarity that takes the head, in metres, onto the truth."""
+    skin = template.triangles[template.parts["skin"].triangles].astype(np.int64)
+    marks = template.landmarks(vertices / 1000)[template.landmarks68]
+    head = {"V": vertices / 1000, "F": skin, "UV": None, "morph": {}}
+    place, off, surface = scorer.align_neutral(head, truth, marks)
+    s = scorer.stats(off, truth.area)
+    at = truth.V[truth.lm[17:]]
+    near = np.linalg.norm(surface.closest(at)[0] - at, axis=1).mean()
+    print(f"{name:24s}  {s['median']:6.3f}  {s['mean']:6.3f}  {s['p90']:6.3f}  {near:6.3f}", flush=True)
+    return place
+
+
+def alone(scorer: ModuleType, truth: Any, cloud: Cloud, made: Neutral, place: Any) -> None:
+    """Truth to the nearest point of the cloud, by the head's alignment."""
+    s, R, t = place
+    head = cloud.points @ made.head_from_cloud[:3, :3].T + made.head_from_cloud[:3, 3]
+    off, _ = cKDTree(s * head / 1000 @ R.T + t).query(truth.V[truth.mask], workers=-1)
+    v = scorer.stats(off, truth.area)
+    print(f"{'cloud alone':24s}  {v['median']:6.3f}  {v['mean']:6.3f}  {v['p90']:6.3f}")
+
+
+def correspondence(truth: Any, template: Template, made: Neutral, place: Any) -> None:
+    """The 68 points of the head against the truth's, mm."""
+    s, R, t = place
+    own = s * template.landmarks(made.vertices / 1000)[template.landmarks68] @ R.T + t
+    off = np.linalg.norm(own - truth.V[truth.lm], axis=1)
+    print(
+        f"corresponding points: inner without brows {off[27:].mean():.2f} mm (nose {off[27:36].mean():.2f}, "
+        f"eyes {off[36:48].mean():.2f}, lips {off[48:].mean():.2f}), brows {off[17:27].mean():.2f}, "
+        f"jaw {off[:17].mean():.2f}"
+    )
+
+
+def eyes(folder: Path, truth: Any, template: Template, made: Neutral, place: Any) -> None:
+    """Eyeballs against spheres laid through the truth's eyeballs."""
+    s, R, t = place
+    balls = true_eyeballs(folder, template)
+    for k, name in enumerate(("left", "right")):
+        centre, radius = balls[k]
+        own = s * made.eye_centres[k] / 1000 @ R.T + t
+        x, y, z = own - centre
+        ratio = s / 1000 * made.eye_radius[k] / radius
+        print(f"eye {name}: off by {x:+.2f} across, {y:+.2f} up, {z:+.2f} out, mm; radius {100 * (ratio - 1):+.1f} %")
+
+
+def true_eyeballs(folder: Path, template: Template) -> list[tuple[np.ndarray, float]]:
+    """Centre and radius of the spheres through the truth's left and right eyeball."""
+    with np.load(folder / "mesh.npz") as mesh:
+        points = mesh["neutral"].astype(float)
+    ranges = [np.arange(*both) for both in ICT_EYES]
+    if len(points) == template.vertex_count:
+        place = order_of(template).place
+        parts = (template.parts[name].vertices for name in ("eye_left", "eye_right"))
+        ranges = [place[np.arange(part.start, part.stop)] for part in parts]
+    return [sphere(points[index]) for index in ranges]
+
+
+def sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """The sphere on which most of the points lie: the cornea bulges out of it."""
+    keep = np.ones(len(points), bool)
+    centre, radius = points.mean(axis=0), 0.0
+    for _ in range(20):
+        A = np.c_[2 * points[keep], np.ones(keep.sum())]
+        x = np.linalg.lstsq(A, (points[keep] ** 2).sum(axis=1))[0]
+        centre, radius = x[:3], float(np.sqrt(x[3] + x[:3] @ x[:3]))
+        distance = np.linalg.norm(points - centre, axis=1)
+        keep = np.abs(distance - np.median(distance)) < 0.3
+    return centre, radius
+
+
+def rims(template: Template, capture: Capture, cameras: Cameras, made: Neutral) -> None:
+    """Detected points of lids and lips against the head's rims in the most frontal photos, pixels at 2 megapixels."""
+    photos = capture.photos
+    placed = placed_photos(cameras.model, [f"{name}.jpg" for name in photos.names])
+    back = np.linalg.inv(made.head_from_cloud)
+    world = made.vertices @ back[:3, :3].T + back[:3, 3]
+    frontal = np.argsort(np.abs(photos.pose[placed.index, 0]), kind="stable")[:PHOTOS]
+    everything = []
+    for name, group in (("lids", LID_RIMS), ("lips' border", LIP_BORDERS), ("lips' seam", SEAM)):
+        off = []
+        for contour, chain in group.items():
+            for p in frontal:
+                photo = placed.index[p]
+                scale = np.sqrt(MEGAPIXELS / np.prod(photos.size[photo]))
+                at = world[template.contours[contour]] @ placed.rotation[p].T + placed.translation[p]
+                line = np.asarray(placed.cameras[p].img_from_cam(at)) * scale
+                for mark in photos.landmarks[photo, list(chain)[1:-1], :2] * scale:
+                    off.append(to_line(mark, line))
+        everything += off
+        print(f"rims of {name:13s} {np.mean(off):.2f} px mean, {np.percentile(off, 90):.2f} px p90")
+    print(f"rims of all           {np.mean(everything):.2f} px mean")
+
+
+def to_line(point: np.ndarray, line: np.ndarray) -> float:
+    step = np.diff(line, axis=0)
+    share = np.clip(((point - line[:-1]) * step).sum(axis=1) / np.maximum((step**2).sum(axis=1), 1e-12), 0, 1)
+    return float(np.linalg.norm(line[:-1] + share[:, None] * step - point, axis=1).min())
+
+
+def trials(
+    scorer: ModuleType,
+    truth: Any,
+    template: Template,
+    capture: Capture,
+    cameras: Cameras,
+    cloud: Cloud,
+    made: Neutral,
+) -> None:
+    for name, spoilt in (
+        ("without half a cheek", without_half_a_cheek(cloud, made)),
+        ("outliers, cap of hair", with_outliers_and_hair(cloud, made)),
+    ):
+        begun = time.perf_counter()
+        head = stage.run(capture, cameras, spoilt, NeutralOptions(), Silent())
+        show(scorer, truth, template, name, head.vertices)
+        _, R, t = similarity(made.vertices, head.vertices)
+        apart = np.linalg.norm(made.vertices @ R.T + t - head.vertices, axis=1)[template.regions["face"]]
+        print(
+            f"{'':24s}  to the head of the whole cloud: mean {apart.mean():.3f}, p99 {np.percentile(apart, 99):.2f} mm, "
+            f"{time.perf_counter() - begun:.0f} s"
+        )
+
+
+def without_half_a_cheek(cloud: Cloud, made: Neutral) -> Cloud:
+    """The cloud without the points on the outer half of the left cheek."""
+    head = cloud.points @ made.head_from_cloud[:3, :3].T + made.head_from_cloud[:3, 3]
+    x, y, z = head.T
+    gone = (x > 35) & (x < 75) & (y < -15) & (y > -75) & (z > -60)
+    return chosen(cloud, ~gone)
+
+
+def with_outliers_and_hair(cloud: Cloud, made: Neutral) -> Cloud:
+    """The cloud with a fifth as many points anywhere, and a cap of tangled points up to 25 mm above the scalp."""
+    rng = np.random.default_rng(SEED)
+    n = len(cloud.points)
+    low, high = cloud.points.min(axis=0), cloud.points.max(axis=0)
+    stray = rng.uniform(low, high, (n // 5, 3)).astype(np.float32)
+    back = np.linalg.inv(made.head_from_cloud)
+    template = Template.load()
+    triangles = template.triangles[template.parts["skin"].triangles]
+    upper = made.vertices[:, 1] > 30
+    scalp = triangles[(template.regions["scalp"] & upper)[triangles].all(axis=1)]
+    at = scalp[rng.integers(0, len(scalp), 120_000)]
+    share = rng.dirichlet(np.ones(3), len(at))
+    root = np.einsum("ni,nij->nj", share, made.vertices[at])
+    tip = root * (1 + rng.uniform(0, 25, (len(root), 1)) / np.linalg.norm(root, axis=1, keepdims=True))
+    hair = (tip @ back[:3, :3].T + back[:3, 3]).astype(np.float32)
+    more = np.concatenate([stray, hair])
+    turned = rng.standard_normal((len(more), 3))
+    normals = (turned / np.linalg.norm(turned, axis=1, keepdims=True)).astype(np.float32)
+    dark = rng.integers(10, 60, (len(hair), 1)) * np.array([[1.0, 0.8, 0.6]])
+    colours = np.concatenate([rng.integers(0, 255, (len(stray), 3)), dark]).astype(np.uint8)
+    return Cloud(
+        np.concatenate([cloud.points, more]),
+        np.concatenate([cloud.normals, normals]),
+        np.concatenate([cloud.colours, colours]),
+        np.concatenate([cloud.views, np.full(len(more), 3, np.uint8)]),
+    )
+
+
+def chosen(cloud: Cloud, keep: np.ndarray) -> Cloud:
+    return Cloud(cloud.points[keep], cloud.normals[keep], cloud.colours[keep], cloud.views[keep])
+
+
+if __name__ == "__main__":
+    main()
