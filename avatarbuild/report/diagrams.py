@@ -134,10 +134,10 @@ def _plan(
     on_page = lambda p: np.asarray(p)[list(axes)] * sign  # noqa: E731
     places = [on_page(dot.at if dot.at is not None else usual * _direction(dot)) for dot in found]
     all_ = np.concatenate([flat, np.array(places).reshape(-1, 2)])
-    low, high = all_.min(axis=0) - 0.09 * reach, all_.max(axis=0) + 0.09 * reach
-    w = 420.0
-    scale = w / (high[0] - low[0])
-    h = scale * (high[1] - low[1])
+    low, high = all_.min(axis=0) - 0.06 * reach, all_.max(axis=0) + 0.06 * reach
+    w, h = 420.0, 320.0
+    scale = float(min([w, h] / (high - low)))
+    low = (low + high) / 2 - np.array([w, h]) / scale / 2
     to = lambda p: (np.asarray(p) - low) * scale  # noqa: E731
     parts = [_open(round(w), round(h), title)]
     origin = to([0.0, 0.0])

@@ -24,6 +24,8 @@ _EYES = ("eye_left", "eye_right")
 _GLOSS = {"teeth_upper": 0.62, "teeth_lower": 0.62, "gums": 0.5, "tongue": 0.45, "eye_left": 0.95, "eye_right": 0.95}
 _NEAR = 2.5  # mm: a point of the cloud colours the vertices within
 _NEIGHBOURS = 6
+_TRUSTED = 0.15  # of Neutral.seen: below it points are hair's or clothes'
+_SHOULDERS = -150.0  # mm: below it they are clothes' in any case
 _SPREADING = 60  # passes that carry colour into what no point shows
 _COMPANIONS = {"mouthClose": {"jawOpen": 1.0}, "tongueOut": {"jawOpen": 0.45}}  # shapes that make sense with others
 
@@ -102,17 +104,18 @@ def plain(template: Template, eye_texture: np.ndarray | None = None) -> Paint:
 def figure(neutral: Neutral, blendshapes: Blendshapes, cloud: Cloud, template: Template, levels: int) -> Figure:
     """The person's head, `levels` times refined, each vertex in the colour of the cloud about it.
 
-    c_i = sum_j c_j / (d_ij + 0.2 mm) over the nearest points within 2.5 mm; where there are none the colour spreads
-    from its neighbours over the mesh, and eyes, teeth and the mouth's inside are the doll's.
+    c_i = sum_j c_j / (d_ij + 0.2 mm) over the nearest points within 2.5 mm; where there are none, or the fit did not
+    trust them, colour spreads from the neighbours over the mesh. Eyes, teeth and the mouth's inside are the doll's.
     """
     refined = template.subdivide(levels)
     doll = plain(template, neutral.eye_texture)
     own, found = _cloud_colours(refined.matrix @ neutral.vertices, neutral.head_from_cloud, cloud)
     skin = np.zeros(template.vertex_count)
     skin[template.parts["skin"].vertices] = 1
+    bare = (refined.matrix @ neutral.seen > _TRUSTED) & (refined.matrix @ template.mean[:, 1] > _SHOULDERS)
     skin[template.regions["mouth"] & ~template.regions["lips"] | template.regions["sockets"]] = 0
     outside = refined.matrix @ skin > 0.6
-    known = outside & found
+    known = outside & found & bare
     mean = np.median(own[known], axis=0) if known.any() else decode_srgb(SKIN)
     colours = np.where(known[:, None], own, mean)
     links = adjacency(len(colours), refined.triangles)

@@ -105,7 +105,7 @@ def _verdict(
     facts = [
         ("Photos used", f"{placed} of {total}", "the others are marked below" if placed < total else "all of them"),
         ("Points of the surface", words.value(len(points.points)), "that photos agree on"),
-        ("Distance to them", f"{words.value(fit['median'])} mm", f"median; 90 % within {words.value(fit['p90'])} mm"),
+        ("Distance to them", f"{fit['median']:.2f} mm", f"median of the face; 90 % within {fit['p90']:.2f} mm"),
         ("Scale", "unknown" if sd is None else f"± {100 * sd:.1f} %", f"from the {cameras.scale.get('source')}"),
     ]
     seconds = [s for s in ((stage.get("timing") or {}).get("seconds") for stage in stages) if s is not None]

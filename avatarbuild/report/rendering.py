@@ -20,9 +20,9 @@ from avatarbuild.geometry.raster import Raster, box_average, interpolate, projec
 
 PAPER = (0.60, 0.62, 0.65)  # linear: a grey that suits light and dark pages
 
-_REACH = 14.0  # mm: surfaces nearer than this darken one another
-_TAPS = 8  # directions that a pixel looks for them; its four neighbours look in others
-_OCCLUSION = 1.15
+_REACH = 11.0  # mm: surfaces nearer than this darken one another
+_TAPS = 6  # directions that a pixel looks for them; its four neighbours look in others
+_OCCLUSION, _DARKEST = 0.95, 0.25
 _FAR_SHARE = 0.3  # of the splats' depth tolerance, in radii
 
 
@@ -141,7 +141,7 @@ def shade(seen: Seen, normals: np.ndarray, image: np.ndarray, gloss: np.ndarray,
 def occlusion(depth: np.ndarray, normals: np.ndarray, focal: float) -> np.ndarray:
     """(h, w) float32: how open each pixel's point p is to its surroundings, 1 for a plane.
 
-    o = max(0, 1 - a / k sum_i max(0, (q_i - p).n - bias) / (|q_i - p|^2 + eps)),  q_i the k points seen nearby.
+    o = max(0.25, 1 - a / k sum_i max(0, (q_i - p).n - bias) / (|q_i - p|^2 + eps)),  q_i the k points seen nearby.
 
     Source: McGuire, Osman, Bukowski, Hennessy, The Alchemy screen-space ambient obscurance algorithm, 2011.
     """
@@ -263,7 +263,7 @@ def _occlusion(depth: np.ndarray, normals: np.ndarray, focal: float, taps: np.nd
                 along = dx * nx + dy * ny + dz * nz - 0.06 * away
                 if along > 0 and away < 2 * _REACH:
                     total += along * away / (square + 1.0)
-            out[row, column] = max(0.0, 1.0 - _OCCLUSION * 2 * total / _TAPS)
+            out[row, column] = max(_DARKEST, 1.0 - _OCCLUSION * 2 * total / _TAPS)
 
 
 @numba.njit(cache=True, parallel=True, error_model="numpy")
@@ -297,7 +297,9 @@ def _shade(
             half = max(np.sqrt(hx * hx + hy * hy + hz * hz), 1e-6)
             wet = smooth[row, column, 3]
             mirror = max(0.0, (nx * hx + ny * hy + nz * hz) / half)
-            shine = gloss * o * (0.10 * wet + 0.75 * wet**3) * mirror ** (12.0 + 240.0 * wet * wet)
+            shine = 0.0
+            if mirror > 0.6:
+                shine = gloss * o * (0.10 * wet + 0.75 * wet**3) * mirror ** (12.0 + 240.0 * wet * wet)
             for c in range(3):
                 out[row, column, c] = image[row, column, c] * (ambient + direct) + shine
 

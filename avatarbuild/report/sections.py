@@ -20,7 +20,7 @@ _LIDS = tuple(f"lid_{half}_{side}" for side in ("left", "right") for half in ("u
 _LIPS = tuple(f"lips_{ring}_{half}" for ring in ("outer", "inner") for half in ("upper", "lower"))
 _EYES_CLOSE = View(size=(560, 200), height=46.0, distance=700.0, centre=(0.0, 1.0, 8.0))
 _MOUTH_CLOSE = View(size=(460, 330), height=84.0, distance=700.0, pitch=3.0)
-_SHEET = View(yaw=10, size=(224, 240), height=190.0, centre=(0.0, -24.0, 0.0))
+_SHEET = View(yaw=10, size=(208, 224), height=190.0, centre=(0.0, -24.0, 0.0))
 _DOTS = ("sharp", "softened", "blurred", "untrusted")
 
 
@@ -60,7 +60,7 @@ def coverage(
             "Each dot is a photo, at the direction from which it sees the face. An even row from ear to ear, with some "
             "from above and below, shows all of a face."
         )
-        + f'<div class="card wide">{plot}</div>{legend(marks)}<h3>The cameras around the head</h3>'
+        + f'<div class="keyed"><div class="card">{plot}</div>{legend(marks)}</div><h3>The cameras around the head</h3>'
         + paragraph(f"The dashed line is the walk from photo to photo. {missing}")
         + row([drawing(above, "From above; the face looks down"), drawing(side, "From their left side")], "plans"),
     )
@@ -164,7 +164,7 @@ def expressions(figure: Figure) -> str:
     return section(
         "expressions",
         "Expressions",
-        row(close, "grid3 photos")
+        row(close, "grid3 close")
         + "<h3>All 52</h3>"
         + paragraph(
             "Each at full strength, named as in ARKit; left and right are the person’s own. <code>mouthClose</code> "

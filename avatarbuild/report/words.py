@@ -62,12 +62,39 @@ FIGURES: dict[str, dict[str, Figure]] = {
         "median_agreeing_views": Figure("Photos agreeing", "", "On half of the points so many photos agree, or more."),
         "spacing": Figure("Spacing", "mm", "From a point to its neighbour."),
     },
+    "neutral": {
+        "photos_trusted": Figure("Photos with landmarks", "", "Photos whose landmarks held the head in place."),
+        "face_to_cloud_mm_median": Figure(
+            "Distance to the points", "mm", "Half of the face is nearer; far below the photos' own noise is no merit."
+        ),
+        "face_to_cloud_mm_p90": Figure("Of nine tenths", "mm", "Nine tenths of the face are nearer than this."),
+        "face_seen": Figure("Face seen", "", "Share of the face that points decided; the rest is experience's."),
+        "model_scale": Figure("Size", "", "Against the template's mean head, which is 1."),
+        "model_sd": Figure("Unlikeness", "", "To the mean head, in standard deviations; above 1.5 is unusual."),
+        "eye_radius_mm": Figure("Eyeballs' radius", "mm", "People's are 11.5 to 12.5."),
+        "eyes_follow_camera": Figure("Eyes follow the camera", "", "0: they kept looking ahead; 1: into each photo."),
+        "lid_gap_mm": Figure("Lids off the eyeballs", "mm", "The largest gap between a lid's rim and the eyeball."),
+        "teeth_behind_lips_mm": Figure("Teeth behind the lips", "mm", "Room between the front teeth and the lips."),
+    },
+    "blendshapes": {
+        "lid_gap_mm": Figure("Closed lids off their place", "mm", "Where eyeBlink at 1 does not lie on the eyeball."),
+        "lid_sunk_mm": Figure("Eyeballs through lids", "mm", "How far an eyeball shows through a closing lid."),
+        "lips_off_mm": Figure("Sealed lips part", "mm", "Gap or overlap where lips should stay closed."),
+        "teeth_out_mm": Figure("Teeth before lips", "mm", "How far teeth stand out in any expression."),
+        "teeth_out_at_rest_mm": Figure("At rest", "mm", "The same with the mouth closed."),
+    },
+    "avatar": {
+        "glb_mb": Figure("Size of avatar.glb", "MB", "Opens in any viewer of glTF."),
+        "shapes": Figure("Shapes that move", "", "Of the 52."),
+        "head_vertices": Figure("Vertices of the head", "", "Without eyes and teeth; seams count twice."),
+        "left_out_mm": Figure("Left out", "mm", "The largest motion that was too small to be stored."),
+    },
 }
 
 _VERBS = (
     *("take", "walk", "step", "add", "keep", "lock", "use", "turn", "film", "remove", "name", "give", "shoot", "copy"),
     *("the largest face", "the avatar has", "hold", "try", "check", "click", "look", "see", "move", "photograph"),
-    *("convert", "put", "set", "run", "mark", "leave", "open", "tie", "wear", "let", "nothing"),
+    *("convert", "put", "set", "run", "mark", "leave", "open", "tie", "wear", "let", "retake"),
 )
 # warnings that come without advice: what they say -> what to do
 _ADVICE = (
@@ -78,6 +105,8 @@ _ADVICE = (
     (r"known length", "Mark its ends in two or more photos that are sharp and show the head."),
     (r"no dense points", "Nothing, unless the cloud has holes there: then take these photos again."),
     (r"left out", "Copy the file again or remove it."),
+    (r"skin colour", "Take more photos of the face from the front, in even light."),
+    (r"before the closed lips", "Look at the mouth from the side; photos with the lips closed and relaxed help."),
     (r"the video used is", "Name the right one in capture.toml if this is not it."),
     (r"the video .* not used", "Nothing, unless it is the one that you meant: then name it in capture.toml."),
     (r"hair|scalp", "Tie long hair back, or wear a tight cap, where the head's own shape matters."),
@@ -153,9 +182,9 @@ def cautions(stages: list[dict[str, Any]]) -> list[Caution]:
 
 
 def split(text: str, stage: str) -> tuple[str, str]:
-    """'found; advice' at the last '; ' that opens with an imperative's verb; advice of our own where there is none."""
+    """'found; advice' where an imperative's verb follows '; ' or ': '; advice of our own where none does."""
     verbs = "|".join(re.escape(verb) for verb in _VERBS)
-    opening = re.search(rf"; (?=(?:{verbs})\b)", text)
+    opening = re.search(rf"[;:] (?=(?:{verbs})\b)", text)
     if opening is not None:
         return _sentence(text[: opening.start()]), _sentence(text[opening.end() :])
     for pattern, advice in _ADVICE:
