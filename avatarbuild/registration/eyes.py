@@ -17,7 +17,7 @@ RADIUS, RADIUS_SD = 12.0, 0.5  # mm, of adults
 LIDS_SD, LIDS_COUNT = 1.0, 4.0  # mm by which the rim errs; how many such errors an eye's rim is worth
 MODEL_SD = np.array([2.0, 2.0, 2.5])  # mm by which the model's eye misses, across and along the gaze
 IRIS_SD, IRIS_COUNT = 0.4, 4.0  # mm, as above
-GAZE_SD = np.radians(4.0)  # by which a neutral gaze departs from straight ahead
+GAZE_SD = np.radians(3.0)  # by which a neutral gaze departs from straight ahead
 APART_SD = np.radians(2.0)  # by which two eyes differ
 _AROUND = 35.0  # mm about an eye: the skin that carries the model's eye along
 
