@@ -108,9 +108,7 @@ def test_light_is_told_from_the_white():
 
 def test_circle_is_found_among_lids_and_highlights():
     picture = np.full((SIZE, SIZE), 200, np.uint8)
-    cv2.circle(
-        picture, (round((SIZE / 2 + 9 - 0.5) * 16), round((SIZE / 2 - 5 - 0.5) * 16)), 58 * 16, 80, -1, 4, 4
-    )
+    cv2.circle(picture, (round((SIZE / 2 + 9 - 0.5) * 16), round((SIZE / 2 - 5 - 0.5) * 16)), 58 * 16, 80, -1, 4, 4)
     cv2.circle(picture, (SIZE // 2 + 9, SIZE // 2 - 5), 20, 20, -1)
     cv2.circle(picture, (SIZE // 2 + 30, SIZE // 2 - 20), 9, 250, -1)
     picture[: SIZE // 2 - 35] = 130  # the upper lid
