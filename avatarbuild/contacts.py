@@ -26,6 +26,7 @@ LIMITS = (
     ("lid_sunk_mm", 0.6, "eyeballs show through closing lids by {} mm: look at eyeBlink"),
     ("lips_off_mm", 0.5, "closed lips part or cross by {} mm: look at the mouth shapes"),
     ("teeth_out_mm", 1.0, "teeth stand {} mm before lips or cheeks: look at the mouth shapes"),
+    ("inside_out_mm", 1.0, "the mouth's inside stands {} mm before the skin: look at the mouth shapes"),
     ("teeth_out_at_rest_mm", 1.0, "teeth stand {} mm before the closed lips of the neutral head"),
 )
 
@@ -109,12 +110,15 @@ class Contacts:
         if self.mouth is None or np.abs(pose[self.mouth.lips]).max() < STILL:
             return delta
         rest = self.person.vertices
-        covered = self.mouth.covered(rest + delta, self._teeth_allowed(pose)) - rest
+        covered = self.mouth.covered(rest + delta, lambda: self._allowed(pose)) - rest
         return np.where((np.linalg.norm(pose, axis=1) > STILL)[:, None], covered, delta)
 
-    def _teeth_allowed(self, pose: np.ndarray) -> np.ndarray:
+    def _allowed(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(n,) mm that teeth, and the mouth's inside, are out in the template's pose or in the person at rest."""
         assert self.mouth is not None
-        return np.maximum(self.mouth.poke(self.template.mean + pose), self.mouth.poke(self.person.vertices))
+        heads = (self.template.mean + pose, self.person.vertices)
+        teeth = np.maximum(*(self.mouth.teeth_out(head) for head in heads))
+        return teeth, np.maximum(*(self.mouth.bag_out(head) for head in heads))
 
     def figures(self, deltas: np.ndarray, poses: np.ndarray) -> dict[str, float]:
         """
@@ -125,12 +129,13 @@ class Contacts:
         lid_sunk   the eyeball through the skin of closing lids, at a quarter, half, three quarters, all of the way
         lips_off   lips that should move as one, apart or crossed
         teeth_out  teeth before the outer skin, beyond the template's in that pose; teeth_out_at_rest: in the neutral
+        inside_out the mouth's inside before the outer skin, likewise
         """
         mean, rest, skin = self.template.mean, self.person.vertices, self.skin
         worst = dict.fromkeys(("lid_gap_mm", "lid_sunk_mm", "lips_off_mm"), 0.0)
         if self.mouth is not None:
-            worst["teeth_out_mm"] = 0.0
-            worst["teeth_out_at_rest_mm"] = float(self.mouth.poke(rest).max())
+            worst |= {"teeth_out_mm": 0.0, "inside_out_mm": 0.0}
+            worst["teeth_out_at_rest_mm"] = float(self.mouth.teeth_out(rest).max())
         for delta, pose in zip(deltas, poses, strict=True):
             errors = lip_contact.lip_errors(self.lips, delta[skin], pose[skin])
             found = {"lips_off_mm": max(float(np.abs(e).max()) for e in errors)}
@@ -140,6 +145,10 @@ class Contacts:
                     gap, sunk = lid_contact.misfit(lids.band, rest[skin], delta[skin], lids.own, closing, lids.source)
                     found |= {"lid_gap_mm": gap, "lid_sunk_mm": sunk}
             if self.mouth is not None and np.abs(pose[self.mouth.lips]).max() > STILL:
-                found["teeth_out_mm"] = float((self.mouth.poke(rest + delta) - self._teeth_allowed(pose)).max())
+                teeth, bag = self.mouth.teeth_out(rest + delta), self.mouth.bag_out(rest + delta)
+                if teeth.max() + bag.max() > 0:
+                    allowed = self._allowed(pose)
+                    found["teeth_out_mm"] = float((teeth - allowed[0]).max())
+                    found["inside_out_mm"] = float((bag - allowed[1]).max())
             worst |= {key: max(worst[key], value) for key, value in found.items()}
         return worst

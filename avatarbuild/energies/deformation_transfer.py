@@ -45,9 +45,10 @@ def _frames(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return np.stack([u, v, normal / root], axis=2)
 
 
-def transfer_system(target: np.ndarray, triangles: np.ndarray) -> tuple[sp.csr_matrix, sp.csr_matrix]:
+def transfer_system(target: np.ndarray, triangles: np.ndarray) -> tuple[sp.csr_matrix, sp.csr_matrix, sp.csr_matrix]:
     """
-    A (n, n) = G^T diag(areas) G and B (n, 3 m) = G^T diag(areas), so that A D = B rows(S - I) minimises the energy.
+    A (n, n) = G^T diag(areas) G, B (n, 3 m) = G^T diag(areas) and the gradient G (3 m, n) itself: A D = B rows(S - I)
+    minimises the energy.
 
     A is singular until a vertex of every connected piece is held. Vertices that have only triangles without area get a
     one on A's diagonal and stay where they are.
@@ -57,7 +58,7 @@ def transfer_system(target: np.ndarray, triangles: np.ndarray) -> tuple[sp.csr_m
     G.data[~np.isfinite(G.data)] = 0
     B = (G.T @ sp.diags(np.tile(np.where(areas > LEAST_AREA, areas, 0), 3))).tocsr()
     A = (B @ G).tocsr()
-    return (A + sp.diags((A.diagonal() <= 0).astype(float))).tocsr(), B
+    return (A + sp.diags((A.diagonal() <= 0).astype(float))).tocsr(), B, G
 
 
 def gradient_rows(gradients: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ EDGE, FADE, REACH = 9, 20, 25  # rings: the lid's edge ends; radial corrections 
 MIDDLE = 0.1  # radians about the eye over which the lower lid passes into the upper one
 FRONT = 0.2  # cosine to the gaze of what lies before the eye
 SKIN = 0.4  # mm of skin over the eye at least, where the source has so much
-SUNK = 0.35  # mm that a lid may cut into the eye on its straight way, where the source's does not
+CLEAR = 0.1  # mm that a lid passes over the eye on its straight way, where the source's does so
 WAY = (0.25, 0.5, 0.75)
 CLOSED = 0.5  # share of the upper edge that passes the lower one in a shape that closes the eye
 
@@ -196,15 +196,15 @@ def _raised(band: LidBand, posed: np.ndarray, centre: np.ndarray, angles: np.nda
 
 
 def _bulged(band: LidBand, rest: np.ndarray, posed: np.ndarray, eye: Eye, way: np.ndarray) -> np.ndarray:
-    """posed (b, 3) lifted where the straight way from rest (b, 3) cuts deeper into the eye than way (3, b) and SUNK."""
+    """posed (b, 3) lifted where the straight way there from rest (b, 3) is nearer to the eye than way (3, b), CLEAR."""
     out = posed
     rim = np.clip((band.ring - band.touch) / 2, 0, 1)  # the line that touches the eye goes on doing so
-    skin = (band.ring > band.touch) & (band.ring <= FADE)
+    skin = (band.ring > band.touch + 1) & (band.ring <= FADE)
     for _ in range(3):
         lack = np.zeros(len(rest))
         for w, source in zip(WAY, way, strict=True):
             clear, direction = eye.clearance(rest + w * (out - rest))
-            short = np.minimum(source, -SUNK) - clear
+            short = np.minimum(source, CLEAR) - clear
             lack = np.maximum(lack, np.where(skin & (direction @ eye.gaze > FRONT), short, 0) / w)
         if lack.max() <= 0:
             break

@@ -21,7 +21,7 @@ from avatarbuild.geometry import rings
 
 REACH = 12  # rings from the lines over which corrections die out
 SEALED, PARTED = 0.6, 2.0  # mm of vertical parting in the source
-ROUNDS = 8
+ROUNDS = 25
 
 
 @dataclass(frozen=True)

@@ -105,7 +105,10 @@ class Transfer:
         self._triangles = t.triangles[part.triangles].astype(np.int64)
         self._moving = np.linalg.norm(t.expressions[:, part.vertices], axis=2) > STILL
         self._free = np.flatnonzero(self._moving.any(axis=0))
-        normal, self._divergence = transfer_system(person.vertices[part.vertices], self._triangles)
+        normal, self._divergence, gradient = transfer_system(person.vertices[part.vertices], self._triangles)
+        inside = (t.regions["mouth"] | t.regions["sockets"])[part.vertices]
+        self._inner = np.flatnonzero(np.tile(inside[self._triangles].all(axis=1), 3))
+        self._inner_gradient = gradient[self._inner]
         self._rows = normal[self._free]
         self._normal = self._rows[:, self._free].tocsr()
         self._factor = Factor(self._normal)
@@ -115,11 +118,14 @@ class Transfer:
         (k, s, 3) of the s skin vertices for the expressions `which` (k,), where the template makes `poses` (e, n, 3).
 
         `already` (k, s, 3) is the part of each pose that is there, to which the result adds. Fixed where the
-        expression itself does not move.
+        expression itself does not move. The mouth's bag and the sockets crumple and nobody sees them: they follow the
+        template's displacements instead of its deformation, and what the lips and lids do differently fades inwards.
         """
-        gradients = displacement_gradients(self._source, poses[which][:, self._skin], self._triangles)
+        wanted = poses[which][:, self._skin]
         k, s = len(which), len(self._source)
-        right = (self._divergence @ gradient_rows(gradients))[self._free]
+        rows = gradient_rows(displacement_gradients(self._source, wanted, self._triangles))
+        rows[self._inner] = self._inner_gradient @ wanted.transpose(1, 0, 2).reshape(s, 3 * k)
+        right = (self._divergence @ rows)[self._free]
         if already is not None:
             right -= self._rows @ already.transpose(1, 0, 2).reshape(s, 3 * k)
         free = np.repeat(self._moving[which][:, self._free].T, 3, axis=1)

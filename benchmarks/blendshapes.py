@@ -1,0 +1,135 @@
+"""Every figure of stage blendshapes.
+
+    python benchmarks/blendshapes.py [itself] [truth] [contacts] [speed] [--people 24]
+
+itself    the template onto itself, before storing
+truth     transferred shapes of simulated people against their own ones, beside the template's bare displacements
+contacts  lids, lips, teeth of the same people: with the contacts kept, as transferred, and the bare displacements
+speed     seconds of the stage (on an idle machine)
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from avatarbuild.contacts import Contacts, Head
+from avatarbuild.geometry.raster import project, rasterise
+from avatarbuild.options import BlendshapesOptions
+from avatarbuild.progress import Silent
+from avatarbuild.simulation.subject import Subject, random_subject
+from avatarbuild.stages.blendshapes import transferred
+from avatarbuild.template import ARKIT_NAMES, Template
+
+FIRST = 1000  # seed of the first person
+
+
+def rig(t: Template, head: Head, contacts: bool = True) -> np.ndarray:
+    """(e, n, 3) the stage's displacements in double precision."""
+    with Silent().task("", 1) as task:
+        return transferred(t, head, BlendshapesOptions(contacts=contacts), task)[0]
+
+
+def people(t: Template, count: int) -> list[Subject]:
+    return [random_subject(t, np.random.default_rng(FIRST + i)) for i in range(count)]
+
+
+def itself(t: Template, _: int) -> None:
+    """The largest difference to the template's own expressions."""
+    for contacts in (True, False):
+        worst = np.abs(rig(t, Head(t.mean, t.eye_centres), contacts) - t.expressions).max()
+        print(f"itself: contacts {'kept' if contacts else 'left'}: largest difference {worst:.1e} mm")
+
+
+def truth(t: Template, count: int) -> None:
+    """Mean error on the face where a person's own shape moves by 0.1 mm, over all shapes."""
+    face = t.regions["face"]
+    errors: dict[str, list[float]] = {"transferred": [], "bare displacements": [], "nothing": []}
+    for subject in people(t, count):
+        own = subject.expressions
+        made = rig(t, Head(subject.neutral, subject.eye_centres))
+        for name, shapes in (("transferred", made), ("bare displacements", t.expressions), ("nothing", 0 * own)):
+            apart = np.linalg.norm(shapes - own, axis=2)
+            moving = (np.linalg.norm(own, axis=2) > 0.1) & face
+            errors[name].append(float(np.mean([apart[j][moving[j]].mean() for j in range(51)])))
+    for name, found in errors.items():
+        print(f"truth: {name:18s} mean {np.mean(found):.3f}, worst person {max(found):.3f} mm over {count} people")
+
+
+def weights(**named: float) -> np.ndarray:
+    w = np.zeros(52)
+    for name, value in named.items():
+        for full in (name,) if name in ARKIT_NAMES else (f"{name}Left", f"{name}Right"):
+            w[ARKIT_NAMES.index(full)] = value
+    return w
+
+
+def seen(t: Template, vertices: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """(450, 900) the triangle in each pixel of a frontal picture about `centre`, 8 pixels a millimetre."""
+    K = np.array([[9600.0, 0, 450], [0, 9600.0, 225], [0, 0, 1]])
+    R = np.diag([1.0, -1, -1])
+    pixels, depth = project(vertices, K, np.zeros(5), R, np.array([0, 0, 1200]) - R @ centre)
+    return rasterise(pixels, depth, t.triangles, (900, 450)).triangle
+
+
+def contacts(t: Template, count: int) -> None:
+    """Figures of the stage, eyeball pixels of closed eyes and mouth pixels of closed lips: worst of all people."""
+    balls = np.concatenate([np.arange(len(t.triangles))[t.parts[n].triangles] for n in ("eye_left", "eye_right")])
+    inner = [np.arange(len(t.triangles))[t.parts[n].triangles] for n in ("teeth_upper", "teeth_lower", "tongue")]
+    inside = np.concatenate([*inner, np.flatnonzero(t.regions["mouth"][t.triangles].all(axis=1))])
+    sealed = [weights(**{n: 1.0}) for n in ("mouthSmile", "mouthPucker", "mouthLeft", "mouthStretch", "cheekPuff")]
+    sealed.append(weights(jawOpen=1.0, mouthClose=1.0))
+    poses = t.expressions.copy()
+    close, jaw = (t.expression_index[name] for name in ("mouthClose", "jawOpen"))
+    poses[close] += poses[jaw]
+    table: dict[str, dict[str, list[float]]] = {}
+    for subject in people(t, count):
+        head = Head(subject.neutral, subject.eye_centres)
+        known = Contacts(t, head)
+        shapes = {"contacts kept": rig(t, head), "as transferred": rig(t, head, False)}
+        for name, deltas in (*shapes.items(), ("bare displacements", t.expressions)):
+            row = table.setdefault(name, {})
+            posed = deltas.copy()
+            posed[close] += posed[jaw]
+            found = known.figures(posed, poses)
+            shut = head.vertices + np.tensordot(weights(eyeBlink=1.0), deltas, 1)
+            found["eye_pixels"] = int(np.isin(seen(t, shut, head.eye_centres.mean(axis=0)), balls).sum())
+            mouth = head.vertices[t.contours["lips_inner_upper"]].mean(axis=0)
+            heads = [head.vertices + np.tensordot(w, deltas, 1) for w in sealed]
+            found["mouth_pixels"] = max(int(np.isin(seen(t, x, mouth), inside).sum()) for x in heads)
+            for key, value in found.items():
+                row.setdefault(key, []).append(value)
+    for name, row in table.items():
+        worst = ", ".join(f"{key} {np.median(v):.2f} / {max(v):.2f}" for key, v in row.items())
+        print(f"contacts: {name:18s} (median / worst of {count} people; 64 pixels are 1 mm^2) {worst}")
+
+
+def speed(t: Template, _: int) -> None:
+    """Seconds of three runs."""
+    subject = people(t, 1)[0]
+    for _ in range(3):
+        start = time.perf_counter()
+        rig(t, Head(subject.neutral, subject.eye_centres))
+        print(f"speed: {time.perf_counter() - start:.1f} s for 52 expressions of {t.vertex_count} vertices")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", nargs="*", choices=["itself", "truth", "contacts", "speed", []], default=[])
+    parser.add_argument("--people", type=int, default=24)
+    given = parser.parse_args()
+    t = Template.load()
+    for part in (itself, truth, contacts, speed):
+        if not given.what or part.__name__ in given.what:
+            part(t, given.people)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
