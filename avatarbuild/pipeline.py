@@ -44,16 +44,29 @@ STAGES = (
     Stage("cameras", ("capture",), artefacts.Cameras, options.CamerasOptions, 1, "where each photo was taken from"),
     Stage("points", ("capture", "cameras"), artefacts.Cloud, options.PointsOptions, 1, "a dense cloud of the head"),
     Stage(
-        *("neutral", ("capture", "cameras", "points"), artefacts.Neutral, options.NeutralOptions, 1),
+        "neutral",
+        ("capture", "cameras", "points"),
+        artefacts.Neutral,
+        options.NeutralOptions,
+        1,
         "the person's head: model, thin shell, eyes, teeth",
     ),
     Stage(
-        *("blendshapes", ("neutral",), artefacts.Blendshapes, options.BlendshapesOptions, 1),
+        "blendshapes",
+        ("neutral",),
+        artefacts.Blendshapes,
+        options.BlendshapesOptions,
+        1,
         "the 52 expressions on this head",
     ),
     Stage(
-        *("avatar", ("capture", "cameras", "points", "neutral", "blendshapes"), artefacts.Avatar),
-        *(options.AvatarOptions, 1, "avatar.glb, avatar.json, report.html", True),
+        "avatar",
+        ("capture", "cameras", "points", "neutral", "blendshapes"),
+        artefacts.Avatar,
+        options.AvatarOptions,
+        1,
+        "avatar.glb, avatar.json, report.html",
+        reports=True,
     ),
 )
 HEAD_STAGES = ("neutral", "blendshapes", "avatar")  # those that make no sense without a face

@@ -196,10 +196,9 @@ def trials(
         show(scorer, truth, template, name, head.vertices)
         _, R, t = similarity(made.vertices, head.vertices)
         apart = np.linalg.norm(made.vertices @ R.T + t - head.vertices, axis=1)[template.regions["face"]]
-        print(
-            f"{'':24s}  to the head of the whole cloud: mean {apart.mean():.3f}, p99 {np.percentile(apart, 99):.2f} mm, "
-            f"{time.perf_counter() - begun:.0f} s"
-        )
+        far = np.percentile(apart, 99)
+        seconds = time.perf_counter() - begun
+        print(f"{'':24s}  from the head of the whole cloud {apart.mean():.3f}, p99 {far:.2f} mm; {seconds:.0f} s")
 
 
 def without_half_a_cheek(cloud: Cloud, made: Neutral) -> Cloud:

@@ -10,17 +10,17 @@ from avatarbuild.registration.shell import Pins
 from avatarbuild.registration.sightings import Sightings
 from avatarbuild.template import Template
 
-LID_RIMS = {
+LID_RIMS: dict[str, tuple[int, ...]] = {
     "lid_upper_right": (33, 246, 161, 160, 159, 158, 157, 173, 133),
     "lid_lower_right": (33, 7, 163, 144, 145, 153, 154, 155, 133),
     "lid_upper_left": (362, 398, 384, 385, 386, 387, 388, 466, 263),
     "lid_lower_left": (362, 382, 381, 380, 374, 373, 390, 249, 263),
 }
-LIP_BORDERS = {
+LIP_BORDERS: dict[str, tuple[int, ...]] = {
     "lips_outer_upper": (61, 185, 40, 39, 37, 0, 267, 269, 270, 409, 291),
     "lips_outer_lower": (61, 146, 91, 181, 84, 17, 314, 405, 321, 375, 291),
 }
-SEAM = {
+SEAM: dict[str, tuple[int, ...]] = {
     "lips_inner_upper": (78, 191, 80, 81, 82, 13, 312, 311, 310, 415, 308),
     "lips_inner_lower": (78, 95, 88, 178, 87, 14, 317, 402, 318, 324, 308),
 }
@@ -65,8 +65,8 @@ def pins(
     Landmarks as points, lids and lips as curves along which the skin may slide.
 
     model (n, 3) the morphable model's fit; standard deviations in mm: `landmark` of single landmarks, `rim` across lids
-    and the seam of the lips, `border` across the lips' outer edge, `slide` along all of these. Detectors place rims well
-    across the face and poorly in depth: of lips, which the cloud shows, the depth is left to it.
+    and the seam of the lips, `border` across the lips' outer edge, `slide` along all of these. Detectors place rims
+    well across the face and poorly in depth: of lips, which the cloud shows, the depth is left to it.
     """
     n = template.parts["skin"].vertices.stop
     curved = {k for chain in (*LID_RIMS.values(), *LIP_BORDERS.values(), *SEAM.values()) for k in chain}
