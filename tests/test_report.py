@@ -324,7 +324,7 @@ def test_the_heat_picture_shows_known_unknown_and_unseen() -> None:
 
 def test_heat_scale_holds_nine_tenths() -> None:
     g, t = given(), synthetic.template()
-    for size, scale in ((0.1, 0.25), (0.3, 0.5), (1.5, 2.0), (3.0, 5.0), (40.0, 5.0)):
+    for size, scale in ((0.3, 0.5), (0.7, 1.0), (1.5, 2.0), (3.0, 5.0), (40.0, 5.0)):
         neutral = dataclasses.replace(g.neutral, distance=np.full(t.vertex_count, size))
         assert views.heat_scale(neutral, t) == scale
 

@@ -146,7 +146,8 @@ def _plan(
         # where the face looks, so that the circle is on the page
         ahead = np.array([0.0, 1.0] if axes == (0, 2) else [-1.0, 0.0])
         x, y = origin + radius * scale * ahead
-        parts.append(_text(x + 22, y - 4, f"{radius / 10:.0f} cm", "middle", "faint"))
+        if 10 < x < w - 60 and y < h - 4:
+            parts.append(_text(x + 22, y - 4, f"{radius / 10:.0f} cm", "middle", "faint"))
     parts.append(f'<path class="head" d="{_outline(flat, triangles, to)}"/>')
     walk = [to(place) for dot, place in zip(found, places) if dot.at is not None]
     if len(walk) > 1:

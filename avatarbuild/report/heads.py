@@ -116,12 +116,9 @@ def figure(neutral: Neutral, blendshapes: Blendshapes, cloud: Cloud, template: T
     skin[template.regions["mouth"] & ~template.regions["lips"] | template.regions["sockets"]] = 0
     outside = refined.matrix @ skin > 0.6
     known = outside & found & bare
-    mean = np.median(own[known], axis=0) if known.any() else decode_srgb(SKIN)
-    colours = np.where(known[:, None], own, mean)
-    links = adjacency(len(colours), refined.triangles)
-    step = sp.diags(1 / np.maximum(np.asarray(links.sum(axis=1)).ravel(), 1)) @ links
-    for _ in range(_SPREADING):
-        colours = np.where(known[:, None], own, step @ colours)
+    n = template.vertex_count  # Loop's scheme keeps the old vertices first
+    filled = _spread(own[:n], known[:n], template.triangles)
+    colours = np.where(known[:, None], own, refined.matrix @ filled)
     colours[~outside] = (refined.matrix @ doll.colours)[~outside]
     fine = 4**levels  # triangles that each became
     uv = _eye_uv(template, refined.uv, refined.uv_triangles, fine)
@@ -138,9 +135,20 @@ def figure(neutral: Neutral, blendshapes: Blendshapes, cloud: Cloud, template: T
     )
 
 
+def _spread(colours: np.ndarray, known: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(n, 3): each unknown colour the mean of its neighbours', from the known ones outwards."""
+    links = adjacency(len(colours), triangles)
+    step = sp.diags(1 / np.maximum(np.asarray(links.sum(axis=1)).ravel(), 1)) @ links
+    mean = np.median(colours[known], axis=0) if known.any() else decode_srgb(SKIN)
+    filled = np.where(known[:, None], colours, mean)
+    for _ in range(_SPREADING):
+        filled = np.where(known[:, None], colours, step @ filled)
+    return filled
+
+
 def _cloud_colours(vertices: np.ndarray, head_from_cloud: np.ndarray, cloud: Cloud) -> tuple[np.ndarray, np.ndarray]:
     """Colours (n, 3) linear, and whether (n,) any point is near."""
-    thin = max(1, len(cloud.points) // 350_000)
+    thin = max(1, len(cloud.points) // 250_000)
     points = cloud.points[::thin] @ head_from_cloud[:3, :3].T + head_from_cloud[:3, 3]
     bright = decode_srgb(cloud.colours[::thin])
     if not len(points):

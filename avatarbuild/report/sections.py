@@ -106,8 +106,9 @@ def fit(capture: Capture, found: list[overlay.Shot], neutral: Neutral, template:
         "fit",
         "How well the head fits",
         paragraph(
-            "How far the photos’ surface lies from the fitted head. Red: it lies outside the head; blue: inside; pale: "
-            "on it."
+            "How far the photos’ points lie from the fitted head. Red: outside the head; blue: inside; pale: on it. "
+            "This says how closely the head follows the points, not how true they are: they have a noise of their own, "
+            "about a tenth of a millimetre, and the scale its error."
         )
         + _five(heat, "Heat map of the fit")
         + f'<div class="bar"><div>{bar}</div><p>Millimetres. Hatched: the photos say little or nothing here, and '

@@ -11,7 +11,7 @@ from avatarbuild.report.rendering import Light, View, decode_srgb, draw_splats, 
 from avatarbuild.template import Template
 
 SIDES = (("their right side", -90.0), ("half right", -45.0), ("front", 0.0), ("half left", 45.0), ("their left", 90.0))
-SCALES = (0.25, 0.5, 1.0, 2.0, 5.0)  # mm at the colour bar's ends
+SCALES = (0.5, 1.0, 2.0, 5.0)  # mm at the colour bar's ends
 INWARD, EVEN, OUTWARD = (0.09, 0.29, 0.66), (0.94, 0.93, 0.90), (0.74, 0.13, 0.10)  # sRGB
 UNKNOWN, UNSEEN = (0.58, 0.58, 0.60), (0.78, 0.78, 0.80)
 _STRIPE = 9  # pixels of the picture from one hatching line to the next
