@@ -301,6 +301,52 @@ class Neutral:
         return Neutral(**values, eye_texture=decode_png((folder / "eye.png").read_bytes()))
 
 
+_ALBEDO_PICTURES = ("albedo", "fused", "illumination", "coverage", "normal", "occlusion")
+
+
+@dataclass(frozen=True)
+class Albedo:
+    """
+    The person's skin without the light, in the template's UV (row 0 on top: v = 1), s texels along a side.
+
+    albedo        (s, s, 3) uint8 sRGB, complete
+    fused         (s, s, 3) uint8 sRGB, the photos' fused texture with the light still in it, complete
+    illumination  (s, s, 3) uint8 sRGB of the light s_ij, scaled so that its 99th percentile is white
+    coverage      (s, s) uint8, how well the photos saw each texel: 0 not at all (completed), 255 from straight ahead
+    normal        (d, d, 3) uint8 tangent-space normals of the static detail, +Y up, (128, 128, 255) flat
+    occlusion     (d, d) uint8 ambient occlusion of the head at rest with its static detail, 255 open
+    harmonics     (9, 3) y of equation (1) in the head frame, linear RGB
+    skin_colour   (3,) linear RGB, the prior r of equation (3)
+    gains         (k, 3) linear factors that each placed photo's colours were multiplied by
+    """
+
+    albedo: np.ndarray
+    fused: np.ndarray
+    illumination: np.ndarray
+    coverage: np.ndarray
+    normal: np.ndarray
+    occlusion: np.ndarray
+    harmonics: np.ndarray
+    skin_colour: np.ndarray
+    gains: np.ndarray
+    figures: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+    def save(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in _ALBEDO_PICTURES:
+            (folder / f"{name}.png").write_bytes(encode_png(getattr(self, name)))
+        with (folder / "light.npz").open("wb") as f:
+            np.savez(f, harmonics=self.harmonics, skin_colour=self.skin_colour, gains=self.gains)
+
+    @staticmethod
+    def load(folder: Path) -> Albedo:
+        pictures = {name: decode_png((folder / f"{name}.png").read_bytes()) for name in _ALBEDO_PICTURES}
+        with np.load(folder / "light.npz") as arrays:
+            light = {name: arrays[name] for name in ("harmonics", "skin_colour", "gains")}
+        return Albedo(**pictures, **light)
+
+
 @dataclass(frozen=True)
 class Blendshapes:
     """

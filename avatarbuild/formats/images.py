@@ -130,8 +130,11 @@ def encode_jpeg(rgb: np.ndarray, quality: int) -> bytes:
 
 
 def decode_png(data: bytes) -> np.ndarray:
-    """(h, w, 3) uint8 of a PNG file's bytes as stored. Raises ValueError."""
-    return decode_jpeg(data)  # the decoder goes by the bytes
+    """(h, w, 3) or (h, w) uint8 of a PNG file's bytes as stored. Raises ValueError."""
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    if pixels is None:
+        raise ValueError("not a PNG file")
+    return cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB) if pixels.ndim == 3 else pixels
 
 
 def encode_png(rgb: np.ndarray) -> bytes:
