@@ -341,10 +341,10 @@ class Albedo:
 
     @staticmethod
     def load(folder: Path) -> Albedo:
-        pictures = {name: decode_png((folder / f"{name}.png").read_bytes()) for name in _ALBEDO_PICTURES}
+        pictures: dict[str, Any] = {n: decode_png((folder / f"{n}.png").read_bytes()) for n in _ALBEDO_PICTURES}
         with np.load(folder / "light.npz") as arrays:
-            light = {name: arrays[name] for name in ("harmonics", "skin_colour", "gains")}
-        return Albedo(**pictures, **light)
+            pictures |= {name: arrays[name] for name in ("harmonics", "skin_colour", "gains")}
+        return Albedo(**pictures)
 
 
 @dataclass(frozen=True)

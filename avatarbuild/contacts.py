@@ -62,7 +62,9 @@ class Contacts:
         self.lips: LipBand = lip_contact.lip_band(mean, graph, upper, lower)
         self._lip_factor = Factor(self.lips.system)
         self.lids = [lids for side in (0, 1) if (lids := self._lids(side, triangles, graph)) is not None]
-        rows = [t.triangles[t.parts[name].triangles] for name in ("teeth_upper", "teeth_lower") if name in t.parts]
+        rows = [
+            t.triangles[t.parts[name].triangles] for name in ("teeth_upper", "teeth_lower", "gums") if name in t.parts
+        ]
         self.mouth: Mouth | None = None
         if rows and t.regions["mouth"].any():
             teeth = np.concatenate(rows)

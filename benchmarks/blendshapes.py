@@ -1,11 +1,12 @@
 """Every figure of stage blendshapes.
 
-    python benchmarks/blendshapes.py [itself] [truth] [contacts] [speed] [--people 24]
+    python benchmarks/blendshapes.py [itself] [truth] [contacts] [speed] [pictures] [--people 24] [--out docs/images]
 
 itself    the template onto itself, before storing
 truth     transferred shapes of simulated people against their own ones, beside the template's bare displacements
 contacts  lids, lips, teeth of the same people: with the contacts kept, as transferred, and the bare displacements
 speed     seconds of the stage (on an idle machine)
+pictures  two people's expressions, blinks and mouths, for docs/blendshapes.md; not among those that run unnamed
 """
 
 from __future__ import annotations
@@ -17,15 +18,16 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "templates" / "head")]
 
-from avatarbuild.contacts import Contacts, Head
-from avatarbuild.geometry.raster import project, rasterise
-from avatarbuild.options import BlendshapesOptions
-from avatarbuild.progress import Silent
-from avatarbuild.simulation.subject import Subject, random_subject
-from avatarbuild.stages.blendshapes import transferred
-from avatarbuild.template import ARKIT_NAMES, Template
+from avatarbuild.contacts import Contacts, Head  # noqa: E402
+from avatarbuild.geometry.raster import project, rasterise  # noqa: E402
+from avatarbuild.options import BlendshapesOptions  # noqa: E402
+from avatarbuild.progress import Silent  # noqa: E402
+from avatarbuild.simulation.subject import Subject, random_subject  # noqa: E402
+from avatarbuild.stages.blendshapes import transferred  # noqa: E402
+from avatarbuild.template import ARKIT_NAMES, Template  # noqa: E402
 
 FIRST = 1000  # seed of the first person
 
@@ -119,15 +121,57 @@ def speed(t: Template, _: int) -> None:
         print(f"speed: {time.perf_counter() - start:.1f} s for 52 expressions of {t.vertex_count} vertices")
 
 
+def pictures(t: Template, out: Path) -> None:
+    """Sheets of two simulated people: all expressions, blinks, mouths."""
+    import cv2
+    from sketch import View, draw, paint, sheet
+
+    colours = paint(t)
+
+    def posed(subject: Subject, deltas: np.ndarray, w: np.ndarray) -> np.ndarray:
+        x = subject.neutral + np.tensordot(w, deltas, 1)
+        for side, name in enumerate(("eye_left", "eye_right")):
+            ball, centre = t.parts[name].vertices, subject.eye_centres[side]
+            x[ball] = (x[ball] - centre) @ t.eye_rotation_matrices(w)[side].T + centre
+        return x
+
+    everything, blinks, mouths, labels = [], [], [], []
+    named = ({"jawOpen": 1.0}, {"jawOpen": 1.0, "mouthClose": 1.0}, {"mouthFunnel": 1.0}, {"mouthPucker": 1.0})
+    named = (*named, {"mouthSmile": 1.0}, {"mouthSmile": 0.8, "jawOpen": 0.25})
+    for subject in people(t, 2):
+        deltas = rig(t, Head(subject.neutral, subject.eye_centres))
+        for name in ARKIT_NAMES:
+            w = weights(**{name: 1.0})
+            if name in ("mouthClose", "tongueOut"):
+                w[ARKIT_NAMES.index("jawOpen")] = 1.0 if name == "mouthClose" else 0.35
+            view = View(yaw=12, size=(160, 185), height=250.0, centre=(0, -10, 0))
+            everything.append(draw(posed(subject, deltas, w), t.triangles, colours, view))
+        eye, lips = subject.eye_centres[0], subject.neutral[t.contours["lips_inner_upper"]].mean(axis=0)
+        for amount in (0, 0.25, 0.5, 0.75, 1):
+            view = View(yaw=8, size=(300, 170), height=42.0, centre=tuple(eye + [0, 0, 10]), distance=600.0)
+            blinks.append(draw(posed(subject, deltas, weights(eyeBlink=amount)), t.triangles, colours, view))
+        for w in named:
+            view = View(yaw=12, pitch=4, size=(260, 220), height=90.0, centre=tuple(lips - [0, 6, 30]), distance=600.0)
+            mouths.append(draw(posed(subject, deltas, weights(**w)), t.triangles, colours, view))
+            labels.append(" ".join(f"{key} {value}" for key, value in w.items()))
+    sheets = {"expressions": sheet(everything, 13, list(ARKIT_NAMES) * 2), "blink": sheet(blinks, 5)}
+    sheets["mouth"] = sheet(mouths, len(named), labels)
+    for name, page in sheets.items():
+        cv2.imwrite(str(out / f"blendshapes-{name}.jpg"), page[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 82])
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", nargs="*", choices=["itself", "truth", "contacts", "speed", []], default=[])
+    parser.add_argument("what", nargs="*", choices=["itself", "truth", "contacts", "speed", "pictures", []], default=[])
     parser.add_argument("--people", type=int, default=24)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images")
     given = parser.parse_args()
     t = Template.load()
     for part in (itself, truth, contacts, speed):
         if not given.what or part.__name__ in given.what:
             part(t, given.people)
+    if "pictures" in given.what:
+        pictures(t, given.out)
     return 0
 
 
