@@ -350,6 +350,23 @@ def test_a_figure_has_the_clouds_colours() -> None:
     )
 
 
+def test_a_head_that_nothing_is_known_of() -> None:
+    """No points, no distances: a doll's skin, grey heat, and words instead of numbers."""
+    g, t = given(), synthetic.template()
+    nothing = Cloud(g.points.points[:0], g.points.normals[:0], g.points.colours[:0], g.points.views[:0])
+    n = t.vertex_count
+    blank = dataclasses.replace(g.neutral, distance=np.full(n, np.nan), seen=np.zeros(n))
+    figure = heads.figure(blank, g.blendshapes, nothing, t, 0)
+    np.testing.assert_allclose(
+        figure.paint.colours[t.regions["nose"]], np.tile(decode_srgb(heads.SKIN), (t.regions["nose"].sum(), 1))
+    )
+    coloured, clay = views.cloud_pictures(nothing, blank, (60, 70))
+    assert len(coloured) == len(clay) == 5
+    assert views.heat_scale(blank, t) == views.SCALES[0]
+    assert words.fit(blank, t)["share"] == 0
+    assert words.verdict(words.fit(blank, t), 0)[0] == "poor"
+
+
 def test_dots_know_where_photos_were_taken_and_which_are_left_out() -> None:
     g = given()
     found = diagrams.dots(g.capture, overlay.shots(g.capture, g.cameras, g.neutral))

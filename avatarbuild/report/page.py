@@ -105,7 +105,7 @@ def _verdict(
     facts = [
         ("Photos used", f"{placed} of {total}", "the others are marked below" if placed < total else "all of them"),
         ("Points of the surface", words.value(len(points.points)), "that photos agree on"),
-        ("Distance to them", f"{fit['median']:.2f} mm", f"median of the face; 90 % within {fit['p90']:.2f} mm"),
+        ("Distance to them", *_distance(fit)),
         ("Scale", "unknown" if sd is None else f"± {100 * sd:.1f} %", f"from the {cameras.scale.get('source')}"),
     ]
     seconds = [s for s in ((stage.get("timing") or {}).get("seconds") for stage in stages) if s is not None]
@@ -116,6 +116,12 @@ def _verdict(
         for name, text, small in facts
     )
     return f'<div class="verdict {grade}"><p>{escape(line)}</p></div><dl class="facts">{cells}</dl>'
+
+
+def _distance(fit: dict[str, float]) -> tuple[str, str]:
+    if not fit["share"]:
+        return "unknown", "no point lies on the face"
+    return f"{fit['median']:.2f} mm", f"median of the face; 90 % within {fit['p90']:.2f} mm"
 
 
 def _closing(stages: list[dict[str, Any]], template: Template) -> str:
