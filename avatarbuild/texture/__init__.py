@@ -1,0 +1,1 @@
+"""The avatar's textures: photos onto the chart, light out of them, what no photo saw."""
