@@ -20,7 +20,8 @@ from avatarbuild.formats.images import decode_jpeg, encode_jpeg
 from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.report import diagrams, heads, overlay, rendering, views, words
 from avatarbuild.report.page import page
-from avatarbuild.report.rendering import View, decode_srgb
+from avatarbuild.report.rendering import View
+from avatarbuild.report.shading import decode_srgb
 from avatarbuild.simulation.photographs import look_at
 from avatarbuild.template import ARKIT_NAMES
 

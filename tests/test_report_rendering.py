@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from avatarbuild.geometry.mipmap import build_mipmap
-from avatarbuild.report import rendering
-from avatarbuild.report.rendering import Decal, Light, Paint, View
+from avatarbuild.report import rendering, shading, splats
+from avatarbuild.report.rendering import Decal, Paint, View
+from avatarbuild.report.shading import Light
 
 
 def sphere(radius: float = 60.0, n: int = 96) -> tuple[np.ndarray, np.ndarray]:
@@ -64,10 +65,10 @@ def test_occlusion_of_a_plane_and_of_a_pit() -> None:
     flat = np.full((60, 60), 1000.0, np.float32)
     normals = np.zeros((60, 60, 3), np.float32)
     normals[..., 2] = -1
-    assert rendering.occlusion(flat, normals, 2000.0).min() == 1
+    assert shading.occlusion(flat, normals, 2000.0).min() == 1
     pit = flat.copy()
     pit[25:35, 25:35] += 12
-    open_ = rendering.occlusion(pit, normals, 2000.0)
+    open_ = shading.occlusion(pit, normals, 2000.0)
     assert open_[30, 30] < 0.6 < open_[5, 5]
 
 
@@ -78,12 +79,12 @@ def test_supersampling_covers_by_area() -> None:
     linear = np.where(shown[..., None], 1.0, 0.0).astype(np.float32) * np.ones(3, np.float32)
     drawn = rendering.finish(linear, shown, 2, (0.0, 0.0, 0.0))
     assert drawn[0, 0].tolist() == [255] * 3
-    assert drawn[0, 1].tolist() == rendering.encode_srgb(np.full(3, 0.5)).tolist() == [188] * 3
+    assert drawn[0, 1].tolist() == shading.encode_srgb(np.full(3, 0.5)).tolist() == [188] * 3
 
 
 def test_srgb_there_and_back() -> None:
     levels = np.arange(256, dtype=np.uint8)
-    assert (rendering.encode_srgb(rendering.decode_srgb(levels)) == levels).all()
+    assert (shading.encode_srgb(shading.decode_srgb(levels)) == levels).all()
 
 
 def test_a_decal_covers_its_triangles_alone() -> None:
@@ -105,16 +106,16 @@ def test_splats_hide_what_lies_behind_and_what_faces_away() -> None:
     towards = np.tile([0.0, 0, 1], (6000, 1))
     points, normals = np.concatenate([front, behind, away]), np.concatenate([towards, towards, -towards])
     colours = np.repeat(np.eye(3), 6000, axis=0)
-    splats = rendering.splat(points, normals, colours, 2.5, FRONT, 1)
-    inside = splats.colours[35:85, 35:85].reshape(-1, 3)
+    drawn = splats.splat(points, normals, colours, 2.5, FRONT, 1)
+    inside = drawn.colours[35:85, 35:85].reshape(-1, 3)
     assert (inside[:, 0] > 0.99).mean() > 0.99
     assert inside[:, 2].max() == 0
-    depth = splats.depth[35:85, 35:85]
+    depth = drawn.depth[35:85, 35:85]
     np.testing.assert_allclose(depth[np.isfinite(depth)].min(), 4000.0, atol=0.01)
 
 
 def test_a_splats_place_and_size() -> None:
-    splats = rendering.splat(
+    drawn = splats.splat(
         np.array([[20.0, -10.0, 0.0]]),
         np.array([[0.0, 0, 1]]),
         np.ones((1, 3)),
@@ -122,7 +123,7 @@ def test_a_splats_place_and_size() -> None:
         FRONT._replace(size=(160, 160)),
         1,
     )
-    rows, columns = np.nonzero(np.isfinite(splats.depth))
+    rows, columns = np.nonzero(np.isfinite(drawn.depth))
     assert columns.mean() + 0.5 == pytest.approx(100.0)
     assert rows.mean() + 0.5 == pytest.approx(90.0)
     assert len(rows) == pytest.approx(np.pi * 16, rel=0.1)
@@ -133,5 +134,5 @@ def test_drawing_repeats() -> None:
     paint = Paint(np.abs(vertices) / 60, np.full(len(vertices), 0.5))
     first, second = (rendering.draw(vertices, triangles, paint, FRONT) for _ in range(2))
     assert first.tobytes() == second.tobytes()
-    clouds = [rendering.draw_splats(rendering.splat(vertices, vertices / 60, paint.colours, 3.0, FRONT)) for _ in "ab"]
+    clouds = [splats.draw_splats(splats.splat(vertices, vertices / 60, paint.colours, 3.0, FRONT)) for _ in "ab"]
     assert clouds[0].tobytes() == clouds[1].tobytes()

@@ -11,7 +11,8 @@ from scipy.spatial import cKDTree
 from avatarbuild.artefacts import Blendshapes, Cloud, Neutral
 from avatarbuild.geometry.meshes import adjacency
 from avatarbuild.geometry.mipmap import build_mipmap
-from avatarbuild.report.rendering import Decal, Light, Paint, View, decode_srgb, draw
+from avatarbuild.report.rendering import Decal, Paint, View, draw
+from avatarbuild.report.shading import Light, decode_srgb
 from avatarbuild.template import ARKIT_NAMES, Template
 
 # sRGB, as they look

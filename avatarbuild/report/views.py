@@ -7,7 +7,9 @@ import numpy as np
 from avatarbuild.artefacts import Cloud, Neutral
 from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.geometry.raster import interpolate
-from avatarbuild.report.rendering import Light, View, decode_srgb, draw_splats, finish, look, shade, splat
+from avatarbuild.report.rendering import View, finish, look, shade
+from avatarbuild.report.shading import Light, decode_srgb
+from avatarbuild.report.splats import draw_splats, splat
 from avatarbuild.template import Template
 
 SIDES = (("their right side", -90.0), ("half right", -45.0), ("front", 0.0), ("half left", 45.0), ("their left", 90.0))
