@@ -1,4 +1,4 @@
-"""How a pixel is lit: a soft lamp, ambient light with occlusion from the depth image, no shadows. Linear light, sRGB out.
+"""How a pixel is lit: a soft lamp, ambient light with occlusion from the depth image. Linear light inside, sRGB out.
 
 Images are (h, w); normals, depth and focal length are a pinhole camera's whose principal point is the picture's middle.
 """
