@@ -29,6 +29,7 @@ class Number:
     face: bool = True
     figures: dict[str, Any] = field(default_factory=lambda: {"count": 1})
     warnings: list[str] = field(default_factory=list)
+    digest: str = ""
 
     def save(self, folder: Path) -> None:
         folder.mkdir(parents=True)
@@ -39,14 +40,18 @@ class Number:
         return Number(int((folder / "number").read_text()))
 
 
+told: dict[str, tuple[tuple[Any, ...], list[dict[str, Any]] | None]] = {}  # what each stage was given last
+
+
 @pytest.fixture
 def cheap(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The three stages replaced by sums; returns the names of the stages that ran."""
     ran: list[str] = []
 
     def module(name: str) -> SimpleNamespace:
-        def work(*inputs: Any) -> Number:
+        def work(*inputs: Any, stamps: list[dict[str, Any]] | None = None) -> Number:
             ran.append(name)
+            told[name] = (inputs, stamps)
             return Number(sum(i.value if isinstance(i, Number) else 1 for i in inputs[:-2]) + inputs[-2].amount)
 
         return SimpleNamespace(run=work)
@@ -59,7 +64,7 @@ def cheap(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     rows = (
         Stage("capture", (), Number, Amount, 1, ""),
         Stage("cameras", ("capture",), Number, Amount, 1, ""),
-        Stage("points", ("capture", "cameras"), Number, Amount, 1, ""),
+        Stage("points", ("capture", "cameras"), Number, Amount, 1, "", reports=True),
     )
     monkeypatch.setattr(pipeline, "STAGES", rows)
     monkeypatch.setattr(pipeline.importlib, "import_module", lambda name: module(name.rsplit(".", 1)[1]))
@@ -110,6 +115,27 @@ def test_first_until_only_force(tmp_path: Path, cheap: list[str]) -> None:
     assert cheap == ["capture", "cameras", "points"]
     with pytest.raises(InputError, match="capture is stale"):
         go(project, {"capture.amount": "3"}, only="cameras")
+
+
+def test_what_a_stage_is_given(tmp_path: Path, cheap: list[str]) -> None:
+    project = Project(tmp_path / "p")
+    go(project, digest="bytes of the capture")
+    go(project, digest="bytes of the capture", only="points")
+    (taken, _, _, _), stamps = told["points"]
+    assert taken.digest == "bytes of the capture"
+    assert taken.figures == {"count": 1}
+    assert stamps is not None
+    assert [stamp["stage"] for stamp in stamps] == ["capture", "cameras"]
+    assert told["cameras"][1] is None
+
+
+def test_another_template_makes_the_heads_stages_stale(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    chosen = options.stage_options()
+    before = keys("x", chosen)
+    (tmp_path / "head.npz").write_bytes(b"another head")
+    monkeypatch.setattr(pipeline, "template_folder", lambda: tmp_path)
+    after = keys("x", chosen)
+    assert [name for name in before if before[name] != after[name]] == list(pipeline.HEAD_STAGES)
 
 
 def test_states(tmp_path: Path, cheap: list[str]) -> None:
