@@ -1,7 +1,7 @@
 """
 Seconds of every stage, and how they grow with the number of photos.
 
-python benchmarks/stages.py --capture CAPTURE [--photos 13,26,52] [--set stage.option=value]
+python benchmarks/stages.py --capture CAPTURE [--photos 13,26,52] [--until STAGE] [--set stage.option=value]
 AVATARBUILD_BENCHMARK=FOLDER stands for FOLDER/capture_b. For the growth with resolution, give sizes:
 --set cameras.max_image_size=1200 --set points.max_image_size=768.
 """
@@ -24,7 +24,7 @@ import numpy as np
 from avatarbuild.capture_folder import open_capture
 
 ROOT = Path(__file__).parent.parent
-STAGES = ("01-capture", "02-cameras", "03-points")
+STAGES = ("01-capture", "02-cameras", "03-points", "04-neutral", "06-blendshapes", "avatar")
 
 
 def main() -> None:
@@ -33,13 +33,14 @@ def main() -> None:
     parser.add_argument("--capture", type=Path, default=Path(home) / "capture_b" if home else None)
     parser.add_argument("--photos", default="")
     parser.add_argument("--set", action="append", default=[])
+    parser.add_argument("--until", default="avatar")
     a = parser.parse_args()
     if a.capture is None:
         parser.error("give --capture, or set AVATARBUILD_BENCHMARK")
     found = open_capture(a.capture)
     counts = [int(n) for n in a.photos.split(",")] if a.photos else [len(found.photos)]
-    words = [word for pair in a.set for word in ("--set", pair)]
-    print("photos   check  " + "  ".join(f"{stage[3:]:>8s}" for stage in STAGES) + "   core-s  peak GB")
+    words = ["--until", a.until, *(word for pair in a.set for word in ("--set", pair))]
+    print("photos   check  " + "  ".join(f"{stage.split('-')[-1]:>8s}" for stage in STAGES) + "   core-s  peak GB")
     for count in counts:
         with tempfile.TemporaryDirectory() as folder:
             capture = Path(folder) / "capture"
