@@ -96,7 +96,7 @@ class NeutralOptions:
     model_landmark_sd: float = option(2.5, "mm", "Standard deviation of landmarks on the morphable model.", least=0.1)
     landmark_sd: float = option(6.0, "mm", "Standard deviation of single landmarks on the thin shell.", least=0.1)
     rim_sd: float = option(0.3, "mm", "Standard deviation across the lids' rims and the seam of the lips.", least=0.05)
-    lip_border_sd: float = option(1.0, "mm", "Standard deviation across the lips' outer border.", least=0.05)
+    lip_border_sd: float = option(1.0, "mm", "Standard deviation across the lips' border and the brows.", least=0.05)
     slide_sd: float = option(4.0, "mm", "Standard deviation along all these rims.", least=0.05)
     stretching: float = option(0.3, "mm^2", "Stretching stiffness of the thin shell at the end.", least=0.0)
     bending: float = option(3.0, "mm^4", "Bending stiffness of the thin shell at the end.", least=1e-6)

@@ -24,21 +24,22 @@ SEAM: dict[str, tuple[int, ...]] = {
     "lips_inner_upper": (78, 191, 80, 81, 82, 13, 312, 311, 310, 415, 308),
     "lips_inner_lower": (78, 95, 88, 178, 87, 14, 317, 402, 318, 324, 308),
 }
+BROWS: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {  # the upper and the lower edge
+    "brow_right": ((70, 63, 105, 66, 107), (46, 53, 52, 65, 55)),
+    "brow_left": ((336, 296, 334, 293, 300), (285, 295, 282, 283, 276)),
+}
 _DEPTH = 1.5  # mm: standard deviation of the depth at which the photos see the lids' rims
 _SEALED = 1.5  # mm: lips whose inner rims are seen this close are closed
 _SEAL = 20.0  # stiffness that holds closed lips together, mm^0
 
 
-def curve(template: Template, seen: Sightings, name: str, chain: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+def curve(points: np.ndarray, own: np.ndarray, rim: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    A rim in space as the photos show it, at the vertices of the template's contour `name`: places and unit tangents.
+    A contour in space as the photos show it, at the template's contour vertices: places and unit tangents (v, 3).
 
-    The chain of landmarks is read as a curve over the share of its length, and so is the contour.
+    points (c, 3) the landmarks along it in space, own (c, 3) the same on the template, rim (v, 3) the contour's
+    vertices on the template. Between landmarks the curve is read off by arc length; both ends belong together.
     """
-    line = template.contours[name]
-    points = seen.points[list(chain)]
-    own = template.landmarks(template.mean)[list(chain)]
-    rim = template.mean[line]
     # where each landmark lies along the contour of the template
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(rim, axis=0), axis=1))])
     at = np.array([_foot(p, rim, along) for p in own])
@@ -62,14 +63,20 @@ def pins(
     template: Template, seen: Sightings, model: np.ndarray, landmark: float, rim: float, border: float, slide: float
 ) -> Pins:
     """
-    Landmarks as points, lids and lips as curves along which the skin may slide.
+    Landmarks as points; lids, lips and brows as curves along which the skin may slide.
 
     model (n, 3) the morphable model's fit; standard deviations in mm: `landmark` of single landmarks, `rim` across lids
-    and the seam of the lips, `border` across the lips' outer edge, `slide` along all of these. Detectors place rims
-    well across the face and poorly in depth: of lips, which the cloud shows, the depth is left to it.
+    and the seam of the lips, `border` across the lips' outer edge and the brows, `slide` along all of these. Detectors
+    place rims well across the face and poorly in depth: of lips, which the cloud shows, the depth is left to it.
     """
     n = template.parts["skin"].vertices.stop
-    curved = {k for chain in (*LID_RIMS.values(), *LIP_BORDERS.values(), *SEAM.values()) for k in chain}
+    chains = (
+        *LID_RIMS.values(),
+        *LIP_BORDERS.values(),
+        *SEAM.values(),
+        *(edge for both in BROWS.values() for edge in both),
+    )
+    curved = {number for chain in chains for number in chain}
     single = np.isfinite(seen.points).all(axis=1) & ~template.landmark_sliding
     single[468:] = False
     single[sorted(curved)] = False
@@ -94,18 +101,24 @@ def pins(
         places.append(at)
         stiff.append(H * min(1.0, spacing))
 
+    own = template.landmarks(template.mean)
+    read = lambda name, points, chain: curve(points, own[list(chain)], template.mean[template.contours[name]])  # noqa: E731
     for name, chain in LID_RIMS.items():
-        along(name, *curve(template, seen, name, chain), rim, _DEPTH)
+        along(name, *read(name, seen.points[list(chain)], chain), rim, _DEPTH)
     for name, chain in LIP_BORDERS.items():
-        along(name, *curve(template, seen, name, chain), border, None)
+        along(name, *read(name, seen.points[list(chain)], chain), border, None)
+    for name, (top, bottom) in BROWS.items():
+        middle = (seen.points[list(top)] + seen.points[list(bottom)]) / 2
+        along(
+            name,
+            *curve(middle, (own[list(top)] + own[list(bottom)]) / 2, template.mean[template.contours[name]]),
+            border,
+            None,
+        )
     upper, lower = (seen.points[list(chain)] for chain in SEAM.values())
     if float(np.nanmedian(np.abs((upper - lower)[2:-2] @ _upward(model, template)))) < _SEALED:
-        middle = (upper + lower) / 2
-        closed = Sightings(**{**seen.__dict__, "points": seen.points.copy()})
-        for chain in SEAM.values():
-            closed.points[list(chain)] = middle
         for name, chain in SEAM.items():
-            along(name, *curve(template, closed, name, chain), rim, None)
+            along(name, *read(name, (upper + lower) / 2, chain), rim, None)
         pair = sealed_pairs(template)
         count = len(pair)
         signs = np.tile([1.0, -1.0], count)
@@ -114,7 +127,7 @@ def pins(
         stiff.append(np.tile(_SEAL * np.eye(3), (count, 1, 1)))
     else:
         for name, chain in SEAM.items():
-            along(name, *curve(template, seen, name, chain), rim, None)
+            along(name, *read(name, seen.points[list(chain)], chain), rim, None)
     return Pins(sp.vstack(rows).tocsr(), np.concatenate(places), np.concatenate(stiff))
 
 
