@@ -112,6 +112,12 @@ def test_a_photo_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.Monkey
     assert [w for w in capture.warnings if "IMG_0001.jpg" in w and "Permission denied" in w]
 
 
+def test_a_video_alone_is_not_enough(tmp_path: Path) -> None:
+    (tmp_path / "clip.mp4").write_bytes(b"whatever")
+    with pytest.raises(InputError, match="a video alone gives no head"):
+        run(tmp_path, CaptureOptions(), Silent())
+
+
 def test_a_corrupt_video_is_left_out(tmp_path: Path) -> None:
     texture_photos(tmp_path, 8)
     (tmp_path / "MOV_0001.mp4").write_bytes(os.urandom(5000))

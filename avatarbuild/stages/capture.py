@@ -49,7 +49,7 @@ def run(source: Path, options: CaptureOptions, progress: Progress) -> Capture:
     with progress.task("photos", len(folder.photos)) as task:
         shots, faults = read_photos(folder, options.max_megapixels * 1e6, options.presence, options.jpeg_quality, task)
     if len(shots) < MIN_PHOTOS:
-        raise InputError(_too_few(source, len(shots), faults))
+        raise InputError(_too_few(folder, len(shots), faults))
     warnings = [*folder.warnings, *(f"left out: {why}" for _, why in faults)]
     photos = survey_photos(shots, options.presence, folder.settings)
     clip, frames, more = _clip(folder, photos, options, progress)
@@ -73,7 +73,13 @@ def run(source: Path, options: CaptureOptions, progress: Progress) -> Capture:
     return capture
 
 
-def _too_few(source: Path, usable: int, faults: list[tuple[Path, str]]) -> str:
+def _too_few(folder: CaptureFolder, usable: int, faults: list[tuple[Path, str]]) -> str:
+    source = folder.root
+    if not usable and not faults and folder.videos:
+        return (
+            f"{source} holds a video but no photos (JPEG, HEIC, PNG, TIFF): a video alone gives no head, "
+            f"at least {MIN_PHOTOS} photos are needed, about 80 are good"
+        )
     if not usable and not faults:
         return f"{source} holds no photos (JPEG, HEIC, PNG, TIFF): at least {MIN_PHOTOS} are needed, about 80 are good"
     why = f" and {len(faults)} that cannot be read (the first: {faults[0][1]})" if faults else ""
