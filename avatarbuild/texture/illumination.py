@@ -1,0 +1,323 @@
+"""Equation (3): the light that the photos' fused texture still bears, and the skin's albedo without it.
+
+    c_ij = r_ij o s_ij,   s_ij = a_ij o y^T phi(b_ij) + d_ij                                                   (1)
+
+a is the share of light that reaches the point past the rest of the head, b the mean direction that is open, both by
+rays; the paper has a = 1 and b = n. First y with d = 0 and r the skin's constant colour, then d with y fixed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from avatarbuild.artefacts import Neutral
+from avatarbuild.energies import harmonics
+from avatarbuild.geometry.meshes import vertex_areas
+from avatarbuild.solvers import smooth_field
+from avatarbuild.template import Template
+from avatarbuild.texture import occlusion, skin_tone
+from avatarbuild.texture.chart import Chart, draw_chart
+from avatarbuild.texture.fused import Fused
+
+_GRID = 1024  # texels of the light's own map at most; what it holds is smooth
+_FIELD = 512  # of the corrective field's
+_TINY = 1e-6
+
+
+@dataclass(frozen=True)
+class LightWeights:
+    """
+    The weights of equation (3) in our units: residuals are divided by the skin's colour, so that they are shares of the
+    mean light; lengths are millimetres on the face.
+
+    ridge            of the five second-order coefficients of y, per unit of area
+    huber            shares of the light beyond which a residual counts linearly
+    symmetry         how much likelier skin is to differ from the mean colour than from its other side (ratio of standard
+                     deviations): differences between the sides are light's
+    field            whether there is a corrective field at all
+    field_length     mm: d follows half of what has this wavelength (l3), where the sides differ
+    field_small      l1 where the sides differ
+    even_length      mm: the same for the half of d that is equal on both sides, which may as well be skin
+    even_small       l1 there
+    tint_small       l1 of the field's colour, both halves
+    outlier          log ratio to the mean skin beyond which a texel is no plain skin (beard, brow, cloth)
+    """
+
+    ridge: float = 1e-3
+    huber: float = 0.12
+    symmetry: float = 3.0
+    field: bool = True
+    field_length: float = 25.0
+    field_small: float = 0.05
+    even_length: float = 40.0
+    even_small: float = 0.6
+    tint_small: float = 1.0
+    outlier: float = 0.45
+
+
+@dataclass(frozen=True)
+class Light:
+    """
+    albedo, shading (s, s, 3) float32 linear: albedo * shading = the fused colour without its highlights; harmonics y
+    (9, 3) in the head frame; skin_colour r (3,); field (g, g, 3) d on its own grid, or None; open (n,) and bent (n, 3)
+    of the vertices; mask (g, g) the texels that the light was found from.
+    """
+
+    albedo: np.ndarray
+    shading: np.ndarray
+    harmonics: np.ndarray
+    skin_colour: np.ndarray
+    field: np.ndarray | None
+    open: np.ndarray
+    bent: np.ndarray
+    mask: np.ndarray
+
+
+def factor(fused: Fused, template: Template, neutral: Neutral, options: LightWeights | None = None) -> Light:
+    """The light and the albedo of a fused texture: equations (1)–(3) above; the mean light on the skin seen is that
+    of `skin_tone.divide`, the rest of the ambiguity between a brighter light and a brighter skin is not decidable."""
+    o = LightWeights() if options is None else options
+    size = fused.colour.shape[0]
+    grid = min(size, _GRID)
+    chart = draw_chart(template, template.uv, template.uv_triangles, grid)
+    matt, seen = _matt(fused, grid)
+    open_, bent = occlusion.of_vertices(neutral.vertices, template.triangles, template.parts["skin"].vertices)
+    plain = _plain_skin(template, chart) * seen
+    plain *= _alike(matt, plain, template, chart)
+    mean = _mean(matt, plain)
+
+    y, r, a = _harmonics(template, neutral, chart, matt, plain, (open_, bent), mean, o)
+    lit = _shading_map(template, chart, a, bent, y)
+    field = None
+    if o.field:
+        field = _field(matt, lit, plain, r, _texels_per_mm(template, neutral.vertices), o)
+        lit = lit + _resized(field, grid)
+    lit = np.maximum(lit, 0.06 * lit[plain > 0].mean(axis=0) if (plain > 0).any() else _TINY)
+    inside = chart.part == 1
+    lit = _continued(lit.astype(np.float32), inside)
+    shading = _resized(lit, size)
+    albedo = _without_highlights(fused, matt, seen, size)
+    np.divide(albedo, np.maximum(shading, _TINY), out=albedo)
+    np.clip(albedo, 0, 1, out=albedo)
+    albedo[~fused.chart] = 0
+    return Light(albedo, shading, y, r, field, open_, bent, plain)
+
+
+def _matt(fused: Fused, grid: int) -> tuple[np.ndarray, np.ndarray]:
+    """(g, g, 3) the colours less the smooth part of the highlights, and (g, g) in [0, 1] how well they were seen."""
+    seen = (fused.seen > 0) & fused.chart
+    weight = cv2.resize(seen.astype(np.float32), (grid, grid), interpolation=cv2.INTER_AREA)
+    divisor = np.maximum(weight, _TINY)[..., None]
+    masked = fused.colour * seen[..., None]
+    colour = cv2.resize(masked, (grid, grid), interpolation=cv2.INTER_AREA) / divisor
+    quality = cv2.resize(fused.seen * seen, (grid, grid), interpolation=cv2.INTER_AREA)
+    if fused.low is not None:
+        low = cv2.resize(fused.low * seen[..., None], (grid, grid), interpolation=cv2.INTER_AREA) / divisor
+        colour = colour - _highlights(colour, low, weight)
+    return colour * (weight > 0.5)[..., None], np.where(weight > 0.5, quality, 0)
+
+
+def _highlights(colour: np.ndarray, low: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """(g, g, 3) the smooth excess of the chosen views over the lower envelope of all of them, never negative."""
+    sigma = 4.0 * colour.shape[0] / 1024 * 2.6
+    area = np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), _TINY)[..., None]
+    excess = cv2.GaussianBlur((colour - low) * weight[..., None], (0, 0), sigma) / area
+    return np.clip(excess, 0, 0.4 * colour)
+
+
+def _without_highlights(fused: Fused, matt: np.ndarray, seen: np.ndarray, size: int) -> np.ndarray:
+    """(s, s, 3) float32: the fused colours less what `_matt` took away, at full size."""
+    if fused.low is None:
+        return fused.colour.astype(np.float32, copy=True)
+    grid = matt.shape[0]
+    low_size = cv2.resize(fused.colour, (grid, grid), interpolation=cv2.INTER_AREA)
+    excess = np.where((seen > 0)[..., None], np.maximum(low_size - matt, 0), 0).astype(np.float32)
+    excess = cv2.GaussianBlur(_continued(excess, seen > 0), (0, 0), 2.0 * grid / 1024)
+    return np.maximum(fused.colour - _resized(excess, size), 0.3 * fused.colour)
+
+
+def _plain_skin(template: Template, chart: Chart) -> np.ndarray:
+    """(g, g) in [0, 1]: skin of the face's own colour: no lips, lids, brows, sockets, mouth or ears, nothing dark."""
+    r = template.regions
+    other = np.zeros(len(template.mean))
+    for name in ("lips", "lids", "brows", "sockets", "mouth", "ears"):
+        other[r[name]] = 1
+    weight = np.where(r["face"], 1.0, np.where(r["neck"] | r["scalp"], 0.15, 0.5)) * (1 - other)
+    return np.where(chart.part == 1, chart.field(weight, template.triangles) > 0.1, 0) * chart.field(
+        weight, template.triangles
+    )
+
+
+def _alike(matt: np.ndarray, plain: np.ndarray, template: Template, chart: Chart) -> np.ndarray:
+    """(g, g) in [0, 1]: 1 where the colour (not the brightness) is that of the face's skin: no cloth, hair, beard."""
+    face = plain * (chart.field(template.regions["face"].astype(float), template.triangles) > 0.5)
+    if not (face > 0).any():
+        return np.ones_like(plain)
+    log = np.log(np.maximum(matt, 1e-3))
+    tint = np.stack([log[..., 0] - log[..., 1], log[..., 2] - log[..., 1]], axis=-1)
+    values = tint[face > 0.5] if (face > 0.5).any() else tint[face > 0]
+    middle = np.median(values, axis=0)
+    spread = np.maximum(1.4826 * np.median(np.abs(values - middle), axis=0), 0.06)
+    away = np.sqrt((((tint - middle) / spread) ** 2).sum(axis=-1))
+    return np.clip((6.0 - away) / 2.5, 0, 1)
+
+
+def _mean(colour: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """(3,) weighted median of the colours."""
+    on = weight > 0.25 * max(float(weight.max()), _TINY)
+    return np.median(colour[on], axis=0) if on.any() else np.full(3, 0.3)
+
+
+def _harmonics(
+    template: Template,
+    neutral: Neutral,
+    chart: Chart,
+    matt: np.ndarray,
+    plain: np.ndarray,
+    hidden: tuple[np.ndarray, np.ndarray],
+    mean: np.ndarray,
+    o: LightWeights,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """y (9, 3), r (3,) and the light's share a (n, 3) by alternation: a depends on r by the light between skin."""
+    skin = template.parts["skin"].vertices
+    open_, bent = hidden
+    colour, weight = _at_vertices(template, chart, matt, plain)
+    weight[skin.stop :] = 0
+    weight = weight * vertex_areas(neutral.vertices, template.triangles)
+    r, _ = skin_tone.divide(mean)
+    for _ in range(2):
+        a = occlusion.between_skin(open_, r)
+        y = _paired_fit(template, bent, a, colour / r, weight, o)
+        lit = (a * harmonics.shading(bent, y))[weight > 0]
+        share = weight[weight > 0]
+        middle = (lit * share[:, None]).sum(axis=0) / share.sum()
+        # the colour of the skin under the mean light decides between skin and light
+        new, light = skin_tone.divide(r * middle)
+        y = y * (r / new)
+        r = new
+        weight = weight * _near(colour, r * a * harmonics.shading(bent, y), o.outlier)
+    return y, r, occlusion.between_skin(open_, r)
+
+
+def _near(colour: np.ndarray, expected: np.ndarray, limit: float) -> np.ndarray:
+    """(n,) in [0, 1]: 0 where the brightness is `limit` (log) darker or 1.5 times that lighter than expected."""
+    ratio = np.log(np.maximum(colour.mean(axis=1), 1e-4) / np.maximum(expected.mean(axis=1), 1e-4))
+    return np.clip((limit + ratio) / (0.4 * limit), 0, 1) * np.clip((1.5 * limit - ratio) / (0.6 * limit), 0, 1)
+
+
+def _at_vertices(
+    template: Template, chart: Chart, colour: np.ndarray, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Means (n, 3) of the colours within about 1.5 mm of the vertices, and (n,) of the weights."""
+    grid = chart.size
+    sigma = max(3.0 * grid / 1024, 0.6)
+    area = cv2.GaussianBlur(weight.astype(np.float32), (0, 0), sigma)
+    blurred = cv2.GaussianBlur((colour * weight[..., None]).astype(np.float32), (0, 0), sigma)
+    corner = np.zeros(len(template.mean), np.int64)
+    corner[template.triangles.reshape(-1)] = template.uv_triangles.reshape(-1)
+    place = np.clip((template.uv[corner] * [grid, -grid] + [0, grid]).astype(np.int64), 0, grid - 1)
+    at = (place[:, 1], place[:, 0])
+    found = area[at].astype(np.float64)
+    return blurred[at] / np.maximum(found, _TINY)[:, None], np.where(found > 0.05, found, 0.0)
+
+
+def _paired_fit(
+    template: Template, bent: np.ndarray, a: np.ndarray, target: np.ndarray, weight: np.ndarray, o: LightWeights
+) -> np.ndarray:
+    """
+    y = argmin sum over pairs of mirrored vertices of rho(u^2 + v^2 / k^2),
+
+    u = (e - e') / sqrt 2, v = (e + e') / sqrt 2, e = (s - t) / mean t: what differs between the sides counts k =
+    `symmetry` times as much as what both sides share, since skin is alike on both. A vertex without its twin counts as
+    v. Iteratively reweighted least squares, nine unknowns a channel.
+    """
+    other = template.symmetry
+    phi = harmonics.basis(bent)
+    both = np.minimum(weight, weight[other])
+    index = np.arange(len(weight))
+    pair = (other != index) & (both > 0) & (index < other)
+    alone = (weight > 0) & ~((other != index) & (both > 0))
+    i, j, single = index[pair], other[pair], index[alone]
+    k = max(o.symmetry, 1.0)
+    y = np.zeros((9, 3))
+    for c in range(3):
+        design, t = phi * a[:, c : c + 1], target[:, c]
+        rows = np.concatenate(
+            [(design[i] - design[j]) / np.sqrt(2), (design[i] + design[j]) / np.sqrt(2), design[single]]
+        )
+        goal = np.concatenate([(t[i] - t[j]) / np.sqrt(2), (t[i] + t[j]) / np.sqrt(2), t[single]])
+        base = np.concatenate([both[i] * k * k, both[i], weight[single]])
+        typical = float(np.median(np.abs(t[weight > 0]))) + _TINY
+        width = o.huber * typical * np.concatenate([np.full(len(i), 1 / k), np.ones(len(i) + len(single))])
+        damping = o.ridge * base.sum() * np.array([0, 0, 0, 0, 1.0, 1, 1, 1, 1])
+        w = base
+        for _ in range(10):
+            y[:, c] = np.linalg.solve(*harmonics.normal_equations(rows, goal, w, damping + 1e-12 * base.sum()))
+            w = base * np.minimum(1, width / np.maximum(np.abs(rows @ y[:, c] - goal), _TINY))
+    return y
+
+
+def _shading_map(template: Template, chart: Chart, a: np.ndarray, bent: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """(g, g, 3): a o y^T phi(b) at the vertices, linear between them."""
+    return chart.field(a * harmonics.shading(bent, y), template.triangles)
+
+
+def _field(
+    matt: np.ndarray, lit: np.ndarray, plain: np.ndarray, r: np.ndarray, scale: float, o: LightWeights
+) -> np.ndarray:
+    """d (f, f, 3) of the second stage, in an orthonormal basis of brightness and two tints."""
+    size = min(matt.shape[0], _FIELD)
+    weight = cv2.resize(plain.astype(np.float32), (size, size), interpolation=cv2.INTER_AREA)
+    residual = np.where((plain > 0)[..., None], matt / r - lit, 0) * plain[..., None]
+    small = cv2.resize(residual.astype(np.float32), (size, size), interpolation=cv2.INTER_AREA)
+    e = small / np.maximum(weight, _TINY)[..., None]
+    level = max(float(np.median(weight[weight > 0])), _TINY) if (weight > 0).any() else 1.0
+    # dark hair and folds are far from the light: Huber's weights, once, and nothing from beyond the outlier limit
+    size_of = np.abs(e.mean(axis=-1))
+    m = np.minimum(weight / level, 1) * np.minimum(1, 1.5 * o.huber / np.maximum(size_of, _TINY))
+    m = np.where(size_of > o.outlier, 0, m)
+    opponent = np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], [6]])
+    texels = scale * size
+    d = np.zeros((size, size, 3))
+    for k in range(3):
+        odd = o.field_small if k == 0 else o.tint_small
+        even = o.even_small if k == 0 else max(o.tint_small, o.even_small)
+        weights = smooth_field.Smoothness(
+            even,
+            0.0,
+            smooth_field.cut_off(o.even_length * texels),
+            (odd, 0.0, smooth_field.cut_off(o.field_length * texels)),
+        )
+        d += smooth_field.solve(e @ opponent[k], m, weights)[..., None] * opponent[k]
+    return d
+
+
+def _texels_per_mm(template: Template, vertices: np.ndarray) -> float:
+    """Median over the face of the texture's length of a millimetre, in sides of the texture."""
+    face = template.regions["face"][template.triangles].all(axis=1)
+    a, b, c = np.moveaxis(vertices[template.triangles[face]], 1, 0)
+    p, q, r = np.moveaxis(template.uv[template.uv_triangles[face]], 1, 0)
+    surface = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    chart = np.abs((q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0])
+    return float(np.median(np.sqrt(chart / np.maximum(surface, 1e-9))))
+
+
+def _continued(image: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """The image (g, g, c) beyond `known`: the nearest known texel's value."""
+    _, label = cv2.distanceTransformWithLabels(
+        (~known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    rows, columns = np.nonzero(known)
+    source = np.zeros(int(label.max()) + 1, np.int64)
+    source[label[rows, columns]] = rows * known.shape[1] + columns
+    return image.reshape(-1, image.shape[2])[source[label]]
+
+
+def _resized(image: np.ndarray, size: int) -> np.ndarray:
+    """(size, size, c) float32, linear between texel centres."""
+    if image.shape[0] == size:
+        return image.astype(np.float32)
+    return cv2.resize(image.astype(np.float32), (size, size), interpolation=cv2.INTER_LINEAR)

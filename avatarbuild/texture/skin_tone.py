@@ -1,0 +1,53 @@
+"""What the colour of skin can be, and how a mean colour in photos divides into skin and light."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from avatarbuild.formats.colour import xyz_from_rgb
+
+# CIELAB of facial skin of all origins, from dark to light: lightness, redness, yellowness (D65)
+_LIGHTNESS = (22.0, 35.0, 50.0, 62.0, 74.0)
+_REDNESS = (7.5, 10.5, 12.5, 11.5, 9.0)
+_YELLOWNESS = (9.0, 14.5, 18.0, 17.0, 14.0)
+_STEPS = 105
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+BRIGHTNESS_SD = 0.35  # of the log of the mean light on the face, whose mean is 0: the exposure
+TINT_SD = 0.10  # of the log ratios of the light's channels: what a phone's white balance leaves
+SKIN_TINT_SD = 0.10  # of the log ratios of the skin's channels about the line of tones
+
+
+def tones() -> np.ndarray:
+    """(k, 3) linear RGB along the line of skin tones, dark to light.
+
+    Source: the range of measured facial skin in Xiao et al., Characterising the variations in ethnic skin colours,
+    2017, as a curve through CIELAB.
+    """
+    lightness = np.linspace(_LIGHTNESS[0], _LIGHTNESS[-1], _STEPS)
+    a, b = (np.interp(lightness, _LIGHTNESS, values) for values in (_REDNESS, _YELLOWNESS))
+    f = np.stack([(lightness + 16) / 116 + a / 500, (lightness + 16) / 116, (lightness + 16) / 116 - b / 200], axis=1)
+    relative = np.where(f > 6 / 29, f**3, 3 * (6 / 29) ** 2 * (f - 4 / 29))
+    matrix = xyz_from_rgb("BT.709")
+    white = matrix.sum(axis=1)
+    return np.clip(relative * white @ np.linalg.inv(matrix).T, 1e-3, 1.0)
+
+
+def divide(mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Skin r (3,) and mean light l (3,) with r l = mean (3,), the most probable under
+
+    log l ~ N(0, brightness along luminance, tint across it),  log r = log tone(k) + N(0, tint), k uniform.
+
+    Every tone is as likely as any other, so that nothing draws dark skin to light: what is left of the brightness
+    is that a tone outside human skin, or of another colour than its brightness has, is explained by the light.
+    """
+    colour = np.log(np.maximum(np.asarray(mean, np.float64), 1e-4))
+    off = colour - np.log(tones())
+    bright = off @ _LUMINANCE
+    tint = off - bright[:, None]
+    light_tint = tint * TINT_SD**2 / (TINT_SD**2 + SKIN_TINT_SD**2)
+    cost = (bright / BRIGHTNESS_SD) ** 2 + (tint**2).sum(axis=1) / (TINT_SD**2 + SKIN_TINT_SD**2)
+    best = int(np.argmin(cost))
+    light = np.exp(bright[best] + light_tint[best])
+    return np.exp(colour) / light, light
