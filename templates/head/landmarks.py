@@ -1,19 +1,26 @@
 """The 478 landmarks on the template: what the detector sees on renderings of many heads, snapped to lids and lips.
 
-Each detection is carried to the surface point under it; the weighted geometric median over views and heads, made
-symmetric, is projected to the mesh. Points on lid and lip rims go to the rims, iris points onto the eyeballs. The
-silhouette of jaw and forehead is marked as sliding.
+Each detection is carried to the surface point under it; from the weighted geometric median over heads and views, made
+symmetric, each landmark moves to the point of the surface with the least error in the pictures. Points on lid and lip
+rims stay on the rims, iris points on the eyeballs. The silhouette of jaw and forehead is marked as sliding.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import igl
 import numpy as np
-from sketch import View, camera, draw, look
+from scipy.spatial import cKDTree
+from sketch import View, camera, draw, look, vertex_normals
 
-HEADS, SEED = 24, 5
-YAWS = (-40.0, -20.0, 0.0, 20.0, 40.0)
+HEADS, SEED = 240, 5
+YAW, PITCH = 45.0, 8.0  # degrees to either side
+TURNED = 8.0  # degrees of yaw from which the far half of the outline is not carried to the surface
+REACH = 12.0  # mm that a landmark may move from where detections lie in the middle
+AROUND, FACING = 5.0, 0.25  # mm; a view counts where the skin so far around faces it by more than this cosine
+PULL = 0.02  # pixels a mm
 OVAL = (
     *(10, 338, 297, 332, 284, 251, 389, 356, 454, 323, 361, 288, 397, 365, 379, 378, 400, 377, 152, 148, 176, 149),
     *(150, 136, 172, 58, 132, 93, 234, 127, 162, 21, 54, 103, 67, 109),
@@ -48,27 +55,98 @@ STRAIN = (
 )
 
 
+class Sighting(NamedTuple):
+    """One view of one head: pixels (n, 2) of its vertices, facing (n,) cosine between normals and view, and the
+    landmarks' pixels (478, 2) by the detector."""
+
+    pixels: np.ndarray
+    facing: np.ndarray
+    found: np.ndarray
+
+
 def find(template, colours: np.ndarray, mirror478: np.ndarray) -> np.ndarray:
     """(478, 3) mm on the mean head, by detection on renderings of random heads; NaN where nothing was seen."""
     from avatarbuild.landmarks import find_faces
 
     rng = np.random.default_rng(SEED)
     skin = template.parts["skin"].triangles.stop
-    p = len(template.identity)
-    places, weights = [], []
-    for head in range(HEADS):
-        a = np.zeros(p) if head == 0 else 0.7 * rng.standard_normal(p)
+    places, weights, sightings = [], [], []
+    for a in rng.standard_normal((HEADS, len(template.identity))):
         vertices = template.neutral(a)
-        for yaw in YAWS:
-            view = View(yaw=yaw + rng.uniform(-8, 8), pitch=rng.uniform(-8, 8), size=(512, 560))
-            picture = draw(vertices, template.triangles, colours, view)
-            faces = find_faces(picture)
-            if not faces or faces[0].presence < 0.9:
-                continue
-            point, weight = _carry(template.mean, vertices, template.triangles, skin, view, faces[0].points)
-            places.append(point)
-            weights.append(weight)
-    return _agree(np.array(places), np.array(weights), mirror478)
+        view = View(yaw=rng.uniform(-YAW, YAW), pitch=rng.uniform(-PITCH, PITCH), size=(512, 560))
+        faces = find_faces(draw(vertices, template.triangles, colours, view))
+        if not faces or faces[0].presence < 0.9:
+            continue
+        found = faces[0].points
+        point, weight = _carry(template.mean, vertices, template.triangles, skin, view, found)
+        # turned away, the outline lies on whatever the silhouette passes over
+        if abs(view.yaw) > TURNED:
+            weight[list(OVAL[19:] if view.yaw > 0 else OVAL[1:18])] = 0
+        places.append(point)
+        weights.append(weight)
+        _, pixels, _ = look(vertices, template.triangles, view)
+        toward = (np.array(camera(view)[1]).T @ -camera(view)[2]) - vertices
+        toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+        facing = np.einsum("ni,ni->n", vertex_normals(vertices, template.triangles), toward)
+        sightings.append(
+            Sighting(pixels.astype(np.float32), facing.astype(np.float32), found[:, :2].astype(np.float32))
+        )
+    return _settle(template, _agree(np.array(places), np.array(weights), mirror478), sightings, mirror478)
+
+
+def _settle(template, begin: np.ndarray, sightings: list[Sighting], mirror: np.ndarray) -> np.ndarray:
+    """(478, 3): each landmark moved, with its mirror image, within REACH mm of `begin` over the surface of the mean, to
+
+    argmin over points s of   sum over views that face s of |P(s) - found| + PULL |s - begin|   (pixels, mm)
+
+    Rim landmarks move along their rims.
+    """
+    skin = template.triangles[template.parts["skin"].triangles]
+    usable = skin[~(template.regions["mouth"] | template.regions["sockets"])[skin].all(axis=1)]
+    # vertices, middles of edges and of triangles
+    corners = np.concatenate([usable[:, [0, 0, 0]], usable[:, [1, 1, 1]], usable[:, [2, 2, 2]]])
+    corners = np.concatenate([corners, *(usable[:, [k, (k + 1) % 3, (k + 1) % 3]] for k in range(3)), usable])
+    weights = np.repeat([[1 / 3, 1 / 3, 1 / 3], [0.5, 0.25, 0.25], [1 / 3, 1 / 3, 1 / 3]], len(usable) * 3, axis=0)
+    weights = weights[: len(corners)]
+    points = np.einsum("sc,scx->sx", weights, template.mean[corners])
+    _, first = np.unique(np.round(points, 3), axis=0, return_index=True)
+    corners, weights, points = corners[first], weights[first], points[first]
+    tree = cKDTree(points)
+    twin = tree.query(points * [-1, 1, 1])[1]
+    rim = {number: template.contours[name] for name, numbers in RIMS.items() for number in numbers}
+    pixels = np.stack([s.pixels for s in sightings])
+    facing = np.stack([s.facing for s in sightings])
+    found = np.stack([s.found for s in sightings])
+
+    def miss(samples: np.ndarray, number: int, about: np.ndarray) -> np.ndarray:
+        near = np.unique(corners[tree.query_ball_point(about, AROUND)])
+        seen = np.flatnonzero(facing[:, near].mean(axis=1) > FACING)
+        at = np.einsum(
+            "sc,vscx->vsx",
+            weights[samples],
+            pixels[np.ix_(seen, corners[samples].ravel())].reshape(len(seen), len(samples), 3, 2),
+        )
+        return np.linalg.norm(at - found[seen, number][:, None], axis=2).sum(axis=0)
+
+    out = begin.copy()
+    for number in range(468):
+        other = int(mirror[number])
+        if other < number or not np.isfinite(begin[number]).all():
+            continue
+        place = points[tree.query(begin[number])[1]]
+        if number in rim:
+            samples = np.unique(tree.query(template.mean[rim[number]])[1])
+        else:
+            samples = np.array(sorted(tree.query_ball_point(place, REACH)))
+        if other == number:
+            samples = samples[np.abs(points[samples, 0]) < 0.02]
+        if not len(samples):
+            continue
+        cost = miss(samples, number, place) + miss(twin[samples], other, place * [-1, 1, 1])
+        best = samples[np.argmin(cost + PULL * len(sightings) * np.linalg.norm(points[samples] - place, axis=1))]
+        out[number] = points[best]
+        out[other] = points[best] * [-1, 1, 1]
+    return out
 
 
 def _carry(

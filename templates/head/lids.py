@@ -27,7 +27,7 @@ LEAST = 0.8  # mm of skin over the eye that the identity's variation leaves
 SAMPLES, SEED = 1500, 5
 RAISE = 0.4  # mm of the eyeball's centre above the middle of the opening
 SHRINK = 0.6  # of the identity's sliding of the lids about the eye; the error off the sphere goes with its square
-OVERLAP = 2.2  # mm by which the closed upper lid passes the lower lid's line
+OVERLAP = 1.6  # mm by which the closed upper lid passes the lower lid's line
 BULGE = 0.5  # mm of hover of the closed upper lid, so that half a blink cuts less into the eye
 BLEND = (8, 20)  # rings between which the closed lid passes from its own shape to the source's
 # the closed upper lid bulges so far that none of these heads' eyes comes nearer to its skin than SPARE mm, up to this
@@ -227,7 +227,7 @@ def close_lids(
     lower = np.flatnonzero(~upper)
     order = lower[np.argsort(posed[lower, 0])]
     line = np.polynomial.Polynomial.fit(posed[order, 0], posed[order, 1], 6)
-    taper = np.clip(4 * share * (1 - share), 0, 1) ** 0.5
+    taper = np.clip(4 * share * (1 - share), 0, 1) ** 0.3
     target = contact.copy()
     height = line(np.clip(contact[:, 0], posed[lower, 0].min(), posed[lower, 0].max()))
     target[:, 1] = height - np.where(upper, OVERLAP * taper, 0)
