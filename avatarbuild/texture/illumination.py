@@ -24,6 +24,7 @@ from avatarbuild.texture.fused import Fused
 
 _GRID = 1024  # texels of the light's own map at most; what it holds is smooth
 _FIELD = 512  # of the corrective field's
+_LEAST = 0.15  # of the mean light, the least that reaches any place of the skin
 _TINY = 1e-6
 
 
@@ -42,20 +43,20 @@ class LightWeights:
     field_small      l1 where the sides differ
     even_length      mm: the same for the half of d that is equal on both sides, which may as well be skin
     even_small       l1 there
-    tint_small       l1 of the field's colour, both halves
-    outlier          log ratio to the mean skin beyond which a texel is no plain skin (beard, brow, cloth)
+    outlier          log ratio below the expected colour beyond which a texel is no plain skin (beard, brow, fold)
+    brightest        times the skin's mean brightness that its brightest places may have; the rest is light
     """
 
     ridge: float = 1e-3
-    huber: float = 0.12
+    huber: float = 0.06
     symmetry: float = 3.0
     field: bool = True
     field_length: float = 25.0
     field_small: float = 0.05
-    even_length: float = 40.0
-    even_small: float = 0.6
-    tint_small: float = 1.0
+    even_length: float = 25.0
+    even_small: float = 0.3
     outlier: float = 0.45
+    brightest: float = 1.4
 
 
 @dataclass(frozen=True)
@@ -86,16 +87,22 @@ def factor(fused: Fused, template: Template, neutral: Neutral, options: LightWei
     matt, seen = _matt(fused, grid)
     open_, bent = occlusion.of_vertices(neutral.vertices, template.triangles, template.parts["skin"].vertices)
     plain = _plain_skin(template, chart) * seen
-    plain *= _alike(matt, plain, template, chart)
     mean = _mean(matt, plain)
-
-    y, r, a = _harmonics(template, neutral, chart, matt, plain, (open_, bent), mean, o)
-    lit = _shading_map(template, chart, a, bent, y)
+    lit = np.ones_like(matt)
+    for _ in range(2):
+        # whether a texel has the skin's colour shows once its light is known
+        own = plain * _alike(matt / lit, plain, template, chart)
+        y, r, a = _harmonics(template, neutral, chart, matt, own, (open_, bent), mean, o)
+        lit = _shading_map(template, chart, a, bent, y)
+        # nine numbers undershoot where little light arrives; no place of a room is black
+        lit = np.maximum(lit, _LEAST * lit[own > 0].mean(axis=0) if (own > 0).any() else _TINY)
+    plain = own
     field = None
     if o.field:
         field = _field(matt, lit, plain, r, _texels_per_mm(template, neutral.vertices), o)
         lit = lit + _resized(field, grid)
-    lit = np.maximum(lit, 0.06 * lit[plain > 0].mean(axis=0) if (plain > 0).any() else _TINY)
+    lit = np.maximum(lit, _LEAST / 2 * lit[plain > 0].mean(axis=0) if (plain > 0).any() else _TINY)
+    lit = _at_least(lit, matt, seen, r, o.brightest)
     inside = chart.part == 1
     lit = _continued(lit.astype(np.float32), inside)
     shading = _resized(lit, size)
@@ -268,31 +275,40 @@ def _shading_map(template: Template, chart: Chart, a: np.ndarray, bent: np.ndarr
 def _field(
     matt: np.ndarray, lit: np.ndarray, plain: np.ndarray, r: np.ndarray, scale: float, o: LightWeights
 ) -> np.ndarray:
-    """d (f, f, 3) of the second stage, in an orthonormal basis of brightness and two tints."""
+    """d (f, f, 3) of the second stage: residuals c / r - s_sh, as shares of the mean light, zero off the plain skin."""
     size = min(matt.shape[0], _FIELD)
     weight = cv2.resize(plain.astype(np.float32), (size, size), interpolation=cv2.INTER_AREA)
-    residual = np.where((plain > 0)[..., None], matt / r - lit, 0) * plain[..., None]
-    small = cv2.resize(residual.astype(np.float32), (size, size), interpolation=cv2.INTER_AREA)
-    e = small / np.maximum(weight, _TINY)[..., None]
+    on = plain[..., None] * np.ones(3, np.float32)
+    target, known = (
+        cv2.resize(image.astype(np.float32) * on, (size, size), interpolation=cv2.INTER_AREA)
+        / np.maximum(weight, _TINY)[..., None]
+        for image in (matt / r, lit)
+    )
+    e = target - known
     level = max(float(np.median(weight[weight > 0])), _TINY) if (weight > 0).any() else 1.0
-    # dark hair and folds are far from the light: Huber's weights, once, and nothing from beyond the outlier limit
-    size_of = np.abs(e.mean(axis=-1))
-    m = np.minimum(weight / level, 1) * np.minimum(1, 1.5 * o.huber / np.maximum(size_of, _TINY))
-    m = np.where(size_of > o.outlier, 0, m)
-    opponent = np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], [6]])
+    # Huber's weights, once; what is far too dark is hair or a fold, what is far too bright can only be light
+    m = np.minimum(weight / level, 1) * np.minimum(1, 2 * o.huber / np.maximum(np.abs(e.mean(axis=-1)), _TINY))
+    dark = np.log(np.maximum(target.mean(axis=-1), 1e-3) / np.maximum(known.mean(axis=-1), 1e-3)) < -o.outlier
+    m = np.where(dark, 0, m)
     texels = scale * size
-    d = np.zeros((size, size, 3))
-    for k in range(3):
-        odd = o.field_small if k == 0 else o.tint_small
-        even = o.even_small if k == 0 else max(o.tint_small, o.even_small)
-        weights = smooth_field.Smoothness(
-            even,
-            0.0,
-            smooth_field.cut_off(o.even_length * texels),
-            (odd, 0.0, smooth_field.cut_off(o.field_length * texels)),
-        )
-        d += smooth_field.solve(e @ opponent[k], m, weights)[..., None] * opponent[k]
-    return d
+    weights = smooth_field.Smoothness(
+        o.even_small,
+        0.0,
+        smooth_field.cut_off(o.even_length * texels),
+        (o.field_small, 0.0, smooth_field.cut_off(o.field_length * texels)),
+    )
+    return np.stack([smooth_field.solve(e[..., c], m, weights) for c in range(3)], axis=-1)
+
+
+def _at_least(lit: np.ndarray, matt: np.ndarray, seen: np.ndarray, r: np.ndarray, limit: float) -> np.ndarray:
+    """(g, g, 3): the light, raised where the skin would else be over `limit` times as bright as its colour r."""
+    sigma = max(3.0 * lit.shape[0] / 1024, 0.6)
+    weight = (seen > 0).astype(np.float32)
+    area = np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-3)
+    smooth = cv2.GaussianBlur(matt.astype(np.float32) * weight[..., None], (0, 0), sigma) / area[..., None]
+    bright = smooth.mean(axis=-1) / (limit * r.mean())
+    mean = np.maximum(lit.mean(axis=-1), _TINY)
+    return lit * np.maximum(1, bright / mean)[..., None]
 
 
 def _texels_per_mm(template: Template, vertices: np.ndarray) -> float:
