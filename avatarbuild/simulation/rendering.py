@@ -193,9 +193,9 @@ def _shade_skin(
     colours: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    moving = detail.shape[0] > 1
+    moving, lights = detail.shape[0] > 1, len(sharpness)
     for row in numba.prange(triangle.shape[0]):
-        a = np.zeros(13)
+        a, lobe = np.zeros(13), np.zeros(lights)
         for column in range(triangle.shape[1]):
             f = triangle[row, column]
             if f < 0:
@@ -223,6 +223,16 @@ def _shade_skin(
             facing = max(mx * vx + my * vy + mz * vz, 0.0)
             rx, ry, rz = 2 * facing * mx - vx, 2 * facing * my - vy, 2 * facing * mz - vz
             fresnel = 0.028 + 0.22 * (1.0 - facing) ** 5
+            # Skin's gloss is wide (14): the lobe is the light's, widened by it. A wet eye mirrors the lamps themselves,
+            # which are smaller and brighter than their lobes.
+            for k in range(lights):
+                towards = rx * directions[k, 0] + ry * directions[k, 1] + rz * directions[k, 2]
+                if gloss < 1.5:
+                    wide = sharpness[k] * 14.0 / (sharpness[k] + 14.0)
+                    lobe[k] = (wide / sharpness[k]) * np.exp(wide * (towards - 1.0))
+                else:
+                    small = 4.0 if sharpness[k] > 3.0 else 1.0
+                    lobe[k] = small * np.exp(small * sharpness[k] * (towards - 1.0))
             for c in range(3):
                 s = harmonics[0, c] + harmonics[1, c] * lx + harmonics[2, c] * ly + harmonics[3, c] * lz
                 s += harmonics[4, c] * lx * ly + harmonics[5, c] * lx * lz + harmonics[6, c] * ly * lz
@@ -231,14 +241,6 @@ def _shade_skin(
                 hollow = open_ ** (0.75 + 0.18 * c) * shade
                 matt = surface[row, column, c] * max(s, 0.0) * hollow
                 mirror = 0.0
-                for k in range(len(sharpness)):
-                    towards = rx * directions[k, 0] + ry * directions[k, 1] + rz * directions[k, 2]
-                    if gloss < 1.5:
-                        # Skin's gloss is wide (14): the lobe is the light's, widened by it.
-                        wide = sharpness[k] * 14.0 / (sharpness[k] + 14.0)
-                        mirror += colours[k, c] * (wide / sharpness[k]) * np.exp(wide * (towards - 1.0))
-                    else:
-                        # A wet eye mirrors the lamps themselves, which are smaller and brighter than their lobes.
-                        small = 4.0 if sharpness[k] > 3.0 else 1.0
-                        mirror += colours[k, c] * small * np.exp(small * sharpness[k] * (towards - 1.0))
+                for k in range(lights):
+                    mirror += colours[k, c] * lobe[k]
                 out[row, column, c] = matt + gloss * fresnel * mirror * open_ * shade
