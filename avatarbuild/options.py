@@ -10,6 +10,8 @@ from typing import Any
 from avatarbuild.errors import InputError
 
 QUALITIES = ("draft", "standard", "high")
+NAMES = "names"  # the unit of a text that is no word of a list
+ALIASES = {"capture.leave_out": "albedo.leave_out"}  # leaving photos out is about the capture, and touches no camera
 
 
 def option(default: Any, unit: str, sentence: str, *, draft: Any = None, high: Any = None, least: Any = None) -> Any:
@@ -104,6 +106,17 @@ class NeutralOptions:
 
 
 @dataclass(frozen=True)
+class AlbedoOptions:
+    """Texture from the photos, and the light taken out of it."""
+
+    size: int = option(4096, "texels", "Side of the textures.", draft=2048, least=256)
+    leave_out: str = option(
+        "", NAMES, "Photos kept out of the texture alone (names with commas between them), to render them as a check."
+    )
+    blend: float = option(8.0, "mm", "Distance over which a step between two photos' patches fades.", least=0.5)
+
+
+@dataclass(frozen=True)
 class AvatarOptions:
     """avatar.glb and avatar.json."""
 
@@ -116,6 +129,7 @@ STAGE_OPTIONS: dict[str, type] = {
     "cameras": CamerasOptions,
     "points": PointsOptions,
     "neutral": NeutralOptions,
+    "albedo": AlbedoOptions,
     "blendshapes": BlendshapesOptions,
     "avatar": AvatarOptions,
 }
@@ -161,7 +175,7 @@ def stage_options(quality: str = "standard", settings: dict[str, str] | None = N
             if quality != "standard" and f.metadata.get(quality) is not None
         }
     for key, text in (settings or {}).items():
-        stage, _, name = key.partition(".")
+        stage, _, name = ALIASES.get(key, key).partition(".")
         if stage not in STAGE_OPTIONS:
             raise InputError(f"no stage '{stage}' in option {key}, {nearest(stage, list(STAGE_OPTIONS))}")
         values[stage][name] = parse_field(STAGE_OPTIONS[stage], name, text, f"{stage}.")
@@ -180,7 +194,7 @@ def parse_field(kind: type, name: str, text: str, prefix: str = "") -> Any:
         raise InputError(f"no option '{prefix}{name}', {hint}")
     about = fields[name].metadata
     value = _parse(prefix + name, text, fields[name].default, about["least"])
-    if isinstance(value, str):
+    if isinstance(value, str) and about["unit"] != NAMES:
         words = [w.strip() for w in about["unit"].split(",")]
         if value not in words:
             raise InputError(f"option {prefix}{name} is '{value}', {nearest(value, words)}")

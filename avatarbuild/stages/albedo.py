@@ -1,0 +1,94 @@
+"""Stage albedo: the photos fused into the template's texture, and the light divided out of it.
+
+Source: method, section 3.
+"""
+
+from __future__ import annotations
+
+import difflib
+
+import numpy as np
+
+from avatarbuild.artefacts import Albedo, Cameras, Capture, Cloud, Neutral, Views
+from avatarbuild.errors import InputError
+from avatarbuild.options import AlbedoOptions
+from avatarbuild.progress import Progress
+from avatarbuild.sfm.metric import placed_photos
+from avatarbuild.template import Template
+from avatarbuild.texture import illumination
+from avatarbuild.texture.fused import Fused
+from avatarbuild.texture.fusion import fuse
+from avatarbuild.texture.inner_charts import paint_inner_parts, spread
+from avatarbuild.texture.photos import placed_in_head, srgb_picture
+
+LEAST_PHOTOS = 3
+
+
+def run(
+    capture: Capture, cameras: Cameras, points: Cloud, neutral: Neutral, options: AlbedoOptions, progress: Progress
+) -> Albedo:
+    """
+    The person's skin without the light.
+
+    Raises InputError where `leave_out` names no photo, or leaves too few.
+    """
+    template = Template.load()
+    placed = placed_photos(cameras.model, [f"{name}.jpg" for name in capture.photos.names])
+    out = left_out(capture.photos, options.leave_out)
+    photos = [p for p in placed_in_head(capture.photos, placed, neutral.head_from_cloud) if p.photo not in out]
+    if len(photos) < LEAST_PHOTOS:
+        raise InputError(
+            f"{len(photos)} placed photos remain for the texture: {LEAST_PHOTOS} are needed; leave out fewer of them"
+        )
+    still = capture.neutral[[photo.photo for photo in photos]]
+    eyes = (neutral.eye_centres, neutral.eye_radius)
+    with progress.task("Fusing the photos", 1.0) as task:
+        fused, choice, figures = fuse(
+            template, neutral.vertices, neutral.seen, photos, still, options.size, options.blend, eyes, task.advance
+        )
+    with progress.task("Taking the light out", 3) as task:
+        light = illumination.factor(fused, template, neutral)
+        task.advance()
+        albedo = complete(light.albedo, fused, template, neutral)
+        task.advance()
+        lit = complete(fused.colour, fused, template, neutral)
+        task.advance()
+    gains = np.ones((len(placed.index), 3))
+    gains[[photo.placed for photo in photos]] = choice.gains
+    brightest = np.percentile(light.shading[fused.seen > 0], 99) if (fused.seen > 0).any() else 1.0
+    names = [capture.photos.names[i] for i in sorted(out)]
+    warnings = [f"left out of the texture, as asked: {', '.join(names)}"] if names else []
+    return Albedo(
+        albedo=srgb_picture(albedo),
+        fused=srgb_picture(lit),
+        illumination=srgb_picture(light.shading / max(float(brightest), 1e-6)),
+        coverage=np.round(255 * np.clip(fused.seen, 0, 1)).astype(np.uint8),
+        normal=np.full((16, 16, 3), (128, 128, 255), np.uint8),
+        occlusion=np.full((16, 16), 255, np.uint8),
+        harmonics=light.harmonics,
+        skin_colour=light.skin_colour,
+        gains=gains,
+        figures=figures | {"left_out": names},
+        warnings=warnings,
+    )
+
+
+def left_out(photos: Views, names: str) -> set[int]:
+    """Rows of the photos named in a list with commas. Raises InputError for a name that no photo has."""
+    rows = {name: i for i, name in enumerate(photos.names)}
+    out = set()
+    for name in (part.strip() for part in names.split(",") if part.strip()):
+        stem = name if name in rows else name.rsplit(".", 1)[0]
+        if stem not in rows:
+            close = difflib.get_close_matches(stem, list(rows), 1)
+            hint = f"did you mean '{close[0]}'?" if close else f"names look like '{photos.names[0]}'"
+            raise InputError(f"leave_out names '{name}', but there is no such photo; {hint}")
+        out.add(rows[stem])
+    return out
+
+
+def complete(colour: np.ndarray, fused: Fused, template: Template, neutral: Neutral) -> np.ndarray:
+    """(s, s, 3) linear: `colour` where the photos saw the skin, continued over the rest, and the inner parts."""
+    whole = spread(colour, fused.label >= 0)
+    paint_inner_parts(whole, fused.part, template, neutral.eye_texture)
+    return spread(whole, fused.chart)
