@@ -25,6 +25,7 @@ from avatarbuild.texture.fused import Fused
 _GRID = 1024  # texels of the light's own map at most; what it holds is smooth
 _FIELD = 512  # of the corrective field's
 _LEAST = 0.15  # of the mean light, the least that reaches any place of the skin
+_DOUBTFUL = 0.5  # weight in the second stage of a texel of the face whose colour is not the skin's
 _TINY = 1e-6
 
 
@@ -64,7 +65,8 @@ class Light:
     """
     albedo, shading (s, s, 3) float32 linear: albedo * shading = the fused colour without its highlights; harmonics y
     (9, 3) in the head frame; skin_colour r (3,); field (g, g, 3) d on its own grid, or None; open (n,) and bent (n, 3)
-    of the vertices; mask (g, g) the texels that the light was found from.
+    of the vertices; mask (g, g) the texels that the light was found from; skin (s, s) float32 in [0, 1]: 0 where scalp,
+    neck or ears are not of the skin's colour, so that cloth, hair or what stands behind was seen there.
     """
 
     albedo: np.ndarray
@@ -75,6 +77,7 @@ class Light:
     open: np.ndarray
     bent: np.ndarray
     mask: np.ndarray
+    skin: np.ndarray
 
 
 def factor(fused: Fused, template: Template, neutral: Neutral, options: LightWeights | None = None) -> Light:
@@ -96,13 +99,16 @@ def factor(fused: Fused, template: Template, neutral: Neutral, options: LightWei
         lit = _shading_map(template, chart, a, bent, y)
         # nine numbers undershoot where little light arrives; no place of a room is black
         lit = np.maximum(lit, _LEAST * lit[own > 0].mean(axis=0) if (own > 0).any() else _TINY)
-    plain = own
+    # on the face itself a strange colour is more often strange light, which the field is there for
+    face = chart.field(template.regions["face"].astype(np.float32), template.triangles)
+    plain = np.maximum(own, _DOUBTFUL * plain * (face > 0.5))
     field = None
     if o.field:
         field = _field(matt, lit, plain, r, _texels_per_mm(template, neutral.vertices), o)
         lit = lit + _resized(field, grid)
-    lit = np.maximum(lit, _LEAST / 2 * lit[plain > 0].mean(axis=0) if (plain > 0).any() else _TINY)
+    lit = np.maximum(lit, _LEAST * lit[plain > 0].mean(axis=0) if (plain > 0).any() else _TINY)
     lit = _at_least(lit, matt, seen, r, o.brightest)
+    skin = _resized(_skin(matt / lit, r, template, chart)[..., None], size)
     inside = chart.part == 1
     lit = _continued(lit.astype(np.float32), inside)
     shading = _resized(lit, size)
@@ -110,7 +116,7 @@ def factor(fused: Fused, template: Template, neutral: Neutral, options: LightWei
     np.divide(albedo, np.maximum(shading, _TINY), out=albedo)
     np.clip(albedo, 0, 1, out=albedo)
     albedo[~fused.chart] = 0
-    return Light(albedo, shading, y, r, field, open_, bent, plain)
+    return Light(albedo, shading, y, r, field, open_, bent, plain, skin.reshape(size, size))
 
 
 def _matt(fused: Fused, grid: int) -> tuple[np.ndarray, np.ndarray]:
@@ -170,6 +176,20 @@ def _alike(matt: np.ndarray, plain: np.ndarray, template: Template, chart: Chart
     spread = np.maximum(1.4826 * np.median(np.abs(values - middle), axis=0), 0.06)
     away = np.sqrt((((tint - middle) / spread) ** 2).sum(axis=-1))
     return np.clip((6.0 - away) / 2.5, 0, 1)
+
+
+def _skin(albedo: np.ndarray, r: np.ndarray, template: Template, chart: Chart) -> np.ndarray:
+    """(g, g) in [0, 1]: `Light.skin`, and 1 all over the face, whose lips, brows and beard are the person's."""
+    log = np.log(np.maximum(albedo, 1e-3)) - np.log(r)
+    tint = np.stack([log[..., 0] - log[..., 1], log[..., 2] - log[..., 1]], axis=-1)
+    away = np.sqrt((tint**2).sum(axis=-1)) / 0.45 + np.maximum(log.mean(axis=-1), 0) / 0.5
+    good = (away < 1).astype(np.float32)
+    reach = max(round(2 * 2.6 * chart.size / 1024), 1)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    # specks go, then the rim of what is left, where colours of both mix
+    good = cv2.erode(cv2.morphologyEx(good, cv2.MORPH_CLOSE, disc), disc)
+    face = chart.field(template.regions["face"].astype(np.float32), template.triangles)
+    return np.maximum(cv2.GaussianBlur(good, (0, 0), max(reach / 2, 0.5)), np.clip(2 * face, 0, 1))
 
 
 def _mean(colour: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -308,7 +328,9 @@ def _at_least(lit: np.ndarray, matt: np.ndarray, seen: np.ndarray, r: np.ndarray
     smooth = cv2.GaussianBlur(matt.astype(np.float32) * weight[..., None], (0, 0), sigma) / area[..., None]
     bright = smooth.mean(axis=-1) / (limit * r.mean())
     mean = np.maximum(lit.mean(axis=-1), _TINY)
-    return lit * np.maximum(1, bright / mean)[..., None]
+    # what is missing has the mean light's own tint: nine numbers tell little of it in the dark
+    tint = lit[seen > 0].mean(axis=0) if (seen > 0).any() else np.ones(3)
+    return lit + np.maximum(bright - mean, 0)[..., None] * (tint / tint.mean())
 
 
 def _texels_per_mm(template: Template, vertices: np.ndarray) -> float:
