@@ -57,8 +57,9 @@ def prove(capture: Path, folder: Path, kills: int, seed: int) -> None:
         assert not different, f"kill {number}: {different}"
 
 
+@pytest.mark.timeout(1500)
 def test_a_killed_run_ends_in_the_same_bytes(tmp_path: Path) -> None:
-    prove(synthetic.capture(3, photos=16, photo_width=360), tmp_path, kills=2, seed=0)
+    prove(synthetic.capture(3, photos=16, photo_width=360), tmp_path, kills=1, seed=0)
 
 
 @pytest.mark.slow
