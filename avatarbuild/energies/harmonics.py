@@ -22,35 +22,18 @@ def normal_equations(
 
 
 def fit(
-    normals: np.ndarray,
-    shadow: np.ndarray,
-    target: np.ndarray,
-    weight: np.ndarray,
-    *,
-    ridge: float = 1e-4,
-    huber: float = 0.1,
-    rounds: int = 12,
+    design: np.ndarray, target: np.ndarray, weight: np.ndarray, ridge: np.ndarray, width: float, rounds: int = 8
 ) -> np.ndarray:
-    """y = argmin sum_i w_i rho(a_i y^T phi(n_i) - t_i) + ridge sum_i w_i |y_2|^2, for each channel: (9, 3).
+    """y = argmin sum_i w_i rho((B y - t)_i) + y^T diag(ridge) y, (9,).
 
-    normals (k, 3) unit; shadow a (k,) or (k, 3), the share of the light that is not hidden; target t (k, 3) = colour
-    over reflectance; weight (k,); y_2 the five coefficients of second order, which few normals determine; rho Huber's
-    function of width `huber` times the median target, by iteratively reweighted least squares.
+    B (k, 9), the harmonics times what multiplies them; t, w (k,); ridge (9,); rho(e) = e^2 / 2 up to `width`, linear
+    beyond (Huber), by iteratively reweighted least squares: 9 x 9 systems.
     """
-    phi = basis(np.asarray(normals, np.float64))
-    hidden = np.asarray(shadow, np.float64)
-    hidden = np.broadcast_to(hidden[:, None] if hidden.ndim == 1 else hidden, (len(phi), 3))
-    total = float(weight.sum())
-    damping = total * ridge * np.array([0, 0, 0, 0, 1.0, 1, 1, 1, 1])
-    y = np.zeros((9, 3))
-    for c in range(3):
-        design, t = phi * hidden[:, c : c + 1], np.asarray(target[:, c], np.float64)
-        width = huber * float(np.median(np.abs(t))) + _TINY
-        w = np.asarray(weight, np.float64)
-        for _ in range(rounds):
-            y[:, c] = np.linalg.solve(*normal_equations(design, t, w, damping + _TINY * total))
-            residual = np.abs(design @ y[:, c] - t)
-            w = weight * np.minimum(1.0, width / np.maximum(residual, _TINY))
+    y, w = np.zeros(design.shape[1]), weight
+    for _ in range(rounds):
+        y = np.linalg.solve(*normal_equations(design, target, w, ridge))
+        size = np.abs(design @ y - target)
+        w = weight * np.minimum(1, width / np.maximum(size, _TINY))
     return y
 
 

@@ -9,13 +9,14 @@ rays; the paper has a = 1 and b = n. First y with d = 0 and r the skin's constan
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from avatarbuild.artefacts import Neutral
 from avatarbuild.energies import harmonics
-from avatarbuild.geometry.meshes import vertex_areas
+from avatarbuild.geometry.meshes import vertex_areas, vertex_normals
 from avatarbuild.solvers import smooth_field
 from avatarbuild.template import Template
 from avatarbuild.texture import occlusion, skin_tone
@@ -26,6 +27,7 @@ _GRID = 1024  # texels of the light's own map at most; what it holds is smooth
 _FIELD = 512  # of the corrective field's
 _LEAST = 0.15  # of the mean light, the least that reaches any place of the skin
 _DOUBTFUL = 0.5  # weight in the second stage of a texel of the face whose colour is not the skin's
+_DIM = 0.3  # of the mean light: below this, errors count absolutely again
 _TINY = 1e-6
 
 
@@ -37,7 +39,7 @@ class LightWeights:
 
     ridge            of the five second-order coefficients of y, per unit of area
     huber            shares of the light beyond which a residual counts linearly
-    symmetry         how much likelier skin is to differ from the mean colour than from its other side (ratio of standard
+    symmetry         how much more skin differs from the mean colour than from its other side (ratio of standard
                      deviations): differences between the sides are light's
     field            whether there is a corrective field at all
     field_length     mm: d follows half of what has this wavelength (l3), where the sides differ
@@ -80,6 +82,19 @@ class Light:
     skin: np.ndarray
 
 
+class Hidden(NamedTuple):
+    """What the head hides of the light: openness (n,), normals and mean open directions (n, 3) of the vertices."""
+
+    open: np.ndarray
+    normal: np.ndarray
+    bent: np.ndarray
+
+    def direction(self) -> np.ndarray:
+        """b (n, 3): half way from the normal to the mean open direction, since harmonics are smooth themselves."""
+        b = self.normal + self.bent
+        return b / np.maximum(np.linalg.norm(b, axis=1, keepdims=True), 1e-9)
+
+
 def factor(fused: Fused, template: Template, neutral: Neutral, options: LightWeights | None = None) -> Light:
     """The light and the albedo of a fused texture: equations (1)–(3) above; the mean light on the skin seen is that
     of `skin_tone.divide`, the rest of the ambiguity between a brighter light and a brighter skin is not decidable."""
@@ -88,14 +103,16 @@ def factor(fused: Fused, template: Template, neutral: Neutral, options: LightWei
     grid = min(size, _GRID)
     chart = draw_chart(template, template.uv, template.uv_triangles, grid)
     matt, seen = _matt(fused, grid)
-    open_, bent = occlusion.of_vertices(neutral.vertices, template.triangles, template.parts["skin"].vertices)
+    normals = vertex_normals(neutral.vertices, template.triangles)
+    open_, towards = occlusion.of_vertices(neutral.vertices, template.triangles, template.parts["skin"].vertices)
+    hidden = Hidden(open_, normals, towards)
     plain = _plain_skin(template, chart) * seen
     mean = _mean(matt, plain)
     lit = np.ones_like(matt)
     for _ in range(2):
         # whether a texel has the skin's colour shows once its light is known
         own = plain * _alike(matt / lit, plain, template, chart)
-        y, r, a = _harmonics(template, neutral, chart, matt, own, (open_, bent), mean, o)
+        y, r, a, bent = _harmonics(template, neutral, chart, matt, own, hidden, mean, o)
         lit = _shading_map(template, chart, a, bent, y)
         # nine numbers undershoot where little light arrives; no place of a room is black
         lit = np.maximum(lit, _LEAST * lit[own > 0].mean(axis=0) if (own > 0).any() else _TINY)
@@ -204,29 +221,33 @@ def _harmonics(
     chart: Chart,
     matt: np.ndarray,
     plain: np.ndarray,
-    hidden: tuple[np.ndarray, np.ndarray],
+    hidden: Hidden,
     mean: np.ndarray,
     o: LightWeights,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """y (9, 3), r (3,) and the light's share a (n, 3) by alternation: a depends on r by the light between skin."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """y (9, 3), r (3,), the light's share a (n, 3) and its direction b (n, 3), by alternation, since a
+    depends on r by the light between skin."""
     skin = template.parts["skin"].vertices
-    open_, bent = hidden
     colour, weight = _at_vertices(template, chart, matt, plain)
     weight[skin.stop :] = 0
     weight = weight * vertex_areas(neutral.vertices, template.triangles)
     r, _ = skin_tone.divide(mean)
-    for _ in range(2):
-        a = occlusion.between_skin(open_, r)
-        y = _paired_fit(template, bent, a, colour / r, weight, o)
-        lit = (a * harmonics.shading(bent, y))[weight > 0]
-        share = weight[weight > 0]
-        middle = (lit * share[:, None]).sum(axis=0) / share.sum()
+    bent = hidden.direction()
+    relative = np.ones(len(weight))
+    for _ in range(3):
+        a = occlusion.between_skin(hidden.open, r)
+        y = _paired_fit(template, bent, a, colour / r, (weight, relative), o)
+        lit = a * harmonics.shading(bent, y)
+        share = weight / weight.sum()
+        middle = share @ lit
         # the colour of the skin under the mean light decides between skin and light
-        new, light = skin_tone.divide(r * middle)
-        y = y * (r / new)
-        r = new
-        weight = weight * _near(colour, r * a * harmonics.shading(bent, y), o.outlier)
-    return y, r, occlusion.between_skin(open_, r)
+        new = skin_tone.divide(r * middle)[0]
+        y, lit, r = y * (r / new), lit * (r / new), new
+        weight = weight * _near(colour, r * lit, o.outlier)
+        # albedo is a ratio: errors count as shares of the light that is there
+        bright = lit.mean(axis=1)
+        relative = 1 / np.maximum(bright / (share @ bright), _DIM)
+    return y, r, a, bent
 
 
 def _near(colour: np.ndarray, expected: np.ndarray, limit: float) -> np.ndarray:
@@ -252,38 +273,41 @@ def _at_vertices(
 
 
 def _paired_fit(
-    template: Template, bent: np.ndarray, a: np.ndarray, target: np.ndarray, weight: np.ndarray, o: LightWeights
+    template: Template,
+    bent: np.ndarray,
+    a: np.ndarray,
+    target: np.ndarray,
+    weights: tuple[np.ndarray, np.ndarray],
+    o: LightWeights,
 ) -> np.ndarray:
     """
-    y = argmin sum over pairs of mirrored vertices of rho(u^2 + v^2 / k^2),
+    y (9, 3) = argmin sum over pairs of mirrored vertices of rho(k u) + rho(v),
 
-    u = (e - e') / sqrt 2, v = (e + e') / sqrt 2, e = (s - t) / mean t: what differs between the sides counts k =
-    `symmetry` times as much as what both sides share, since skin is alike on both. A vertex without its twin counts as
-    v. Iteratively reweighted least squares, nine unknowns a channel.
+    u = (e - e') / sqrt 2, v = (e + e') / sqrt 2, e = f (s - t), with weights w (n,) and factors f (n,): what differs
+    between the sides counts k = `symmetry` times as much as what both sides share, since skin is alike on both. A
+    vertex without its twin counts as v.
     """
+    weight, factor = weights
     other = template.symmetry
     phi = harmonics.basis(bent)
     both = np.minimum(weight, weight[other])
     index = np.arange(len(weight))
-    pair = (other != index) & (both > 0) & (index < other)
-    alone = (weight > 0) & ~((other != index) & (both > 0))
-    i, j, single = index[pair], other[pair], index[alone]
+    paired = (other != index) & (both > 0)
+    i = index[paired & (index < other)]
+    j, single = other[i], index[(weight > 0) & ~paired]
     k = max(o.symmetry, 1.0)
+
+    def rows_of(values: np.ndarray) -> np.ndarray:
+        minus, plus = (values[i] - values[j]) / np.sqrt(2), (values[i] + values[j]) / np.sqrt(2)
+        return np.concatenate([k * minus, plus, values[single]])
+
+    base = np.concatenate([both[i], both[i], weight[single]])
+    ridge = (o.ridge * k * k * np.array([0, 0, 0, 0, 1.0, 1, 1, 1, 1]) + _TINY) * base.sum()
     y = np.zeros((9, 3))
     for c in range(3):
-        design, t = phi * a[:, c : c + 1], target[:, c]
-        rows = np.concatenate(
-            [(design[i] - design[j]) / np.sqrt(2), (design[i] + design[j]) / np.sqrt(2), design[single]]
-        )
-        goal = np.concatenate([(t[i] - t[j]) / np.sqrt(2), (t[i] + t[j]) / np.sqrt(2), t[single]])
-        base = np.concatenate([both[i] * k * k, both[i], weight[single]])
-        typical = float(np.median(np.abs(t[weight > 0]))) + _TINY
-        width = o.huber * typical * np.concatenate([np.full(len(i), 1 / k), np.ones(len(i) + len(single))])
-        damping = o.ridge * base.sum() * np.array([0, 0, 0, 0, 1.0, 1, 1, 1, 1])
-        w = base
-        for _ in range(10):
-            y[:, c] = np.linalg.solve(*harmonics.normal_equations(rows, goal, w, damping + 1e-12 * base.sum()))
-            w = base * np.minimum(1, width / np.maximum(np.abs(rows @ y[:, c] - goal), _TINY))
+        typical = float(np.median(np.abs((factor * target[:, c])[weight > 0]))) + _TINY
+        rows, goal = rows_of(phi * (factor * a[:, c])[:, None]), rows_of(factor * target[:, c])
+        y[:, c] = harmonics.fit(rows, goal, base, ridge, o.huber * typical)
     return y
 
 

@@ -52,7 +52,7 @@ def ambient(
 def of_vertices(
     vertices: np.ndarray, triangles: np.ndarray, only: slice, rays: int = RAYS
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`ambient` at the vertices of one part (a range of them): (n,), 1 on the others, and (n, 3), theirs the normals."""
+    """`ambient` at the vertices of one part, a range: (n,), 1 on the others, and (n, 3), theirs the normals."""
     normals = vertex_normals(vertices, triangles)
     open_, bent = np.ones(len(vertices)), normals.copy()
     open_[only], bent[only] = ambient(vertices, triangles, vertices[only], normals[only], rays)
