@@ -1,7 +1,8 @@
 """The photos' colours on the template's chart: one photo for each texel, gains, gradients composited, Poisson.
 
-With c the gain-corrected colour of the chosen photo, B that photo's and q all photos' common colour over a few
-millimetres, the texture is f = c' + x, c' = c + q - B, where x solves the screened Poisson equation
+With c the gain-corrected colour of the chosen photo, B that photo's and q all photos' common colour over a millimetre
+(a few where lids, lips, brows and ears would ghost), the texture is f = c' + x, c' = c + q - B, where x solves the
+screened Poisson equation
 
     min_x  sum_pq (x_q - x_p - g_pq)^2 + screen sum_p x_p^2
 
@@ -26,7 +27,7 @@ from avatarbuild.solvers.poisson import Grid, divergence
 from avatarbuild.template import Template
 from avatarbuild.texture.borders import border_pairs, correct, texel_labels
 from avatarbuild.texture.chart import Chart, draw_chart, seam_ties
-from avatarbuild.texture.consensus import averaged, quantile
+from avatarbuild.texture.consensus import averaged, trimmed
 from avatarbuild.texture.fused import Fused
 from avatarbuild.texture.gains import photo_gains
 from avatarbuild.texture.observations import Nodes, Observations, nodes_of, observe
@@ -37,9 +38,9 @@ from avatarbuild.texture.selection import choose, few, photo_sharpness, scores
 MOST_PHOTOS = 24  # in the texture
 _LEAST_GAIN = 0.01  # of the mean -log(score) that a further photo must bring
 BORDER = 3.0  # per mm of border between patches, beside -log(score) per mm^2
-_RINGS = 10  # steps of averaging that make a photo's colour over a few millimetres
-_COMMON = 0.45  # the quantile of the photos' colours that is their common one
-_LOW = 0.2  # the quantile that stands for skin without highlights
+_ROUNDS_NEAR_WIDE = (2, 10)  # steps of averaging: a photo's colour over a millimetre, and over a few
+_COMMON = (0.15, 0.75)  # quantiles between which the photos' colours make their common one
+_LOW = (0.1, 0.3)  # and the one that stands for skin without highlights
 _ROUNDS = 30
 _CHIN = -70.0  # mm below the eyes from which what is not face may be cloth
 _LEAST_SPREAD, _FAR = 0.06, 4.0  # of the face's log chroma; how many spreads off a colour is no longer skin
@@ -69,11 +70,15 @@ def choice(nodes: Nodes, seen: Observations, photos: list[Photo], still: np.ndar
     sharpness = photo_sharpness(seen.detail, weight)
 
     usable = seen.cosine**2 * np.clip(1 - 4 * seen.clipped, 0.02, 1)
-    local, local_weight = averaged(colour, usable.astype(np.float32), nodes.triangles, _RINGS)
-    common = quantile(local, local_weight, _COMMON)
-    low = quantile(local, local_weight, _LOW)
+    near, wide = averaged(colour, usable.astype(np.float32), nodes.triangles, _ROUNDS_NEAR_WIDE)
+    fine = common_offset(*near)
+    local, local_weight = wide
+    common = trimmed(*wide, *_COMMON)
+    low = trimmed(*wide, *_LOW)
     shown = local_weight > 1e-6
-    offset = np.where(shown[..., None], common - local, 0).astype(np.float32)
+    share = nodes.relief[:, None].astype(np.float32)
+    offset = np.where((near[1] > 1e-6)[..., None], (1 - share) * fine + share * (common - local), 0)
+    offset = np.where(shown[..., None], offset, 0).astype(np.float32)
 
     grey = lambda c: np.log(np.maximum(c.mean(axis=-1), 1e-3))  # noqa: E731
     excess = np.where(shown, grey(local) - grey(common), 0)
@@ -91,6 +96,11 @@ def choice(nodes: Nodes, seen: Observations, photos: list[Photo], still: np.ndar
     at = np.maximum(label, 0), np.arange(len(label))
     quality = np.where(label >= 0, seen.cosine[at] * np.minimum(sharpness[at[0]], 1), 0)
     return Choice(gains, label, quality, offset, low, sharpness, disagreement)
+
+
+def common_offset(local: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """(p, n, 3) q - B_i of colours (p, n, 3) with weights (p, n)."""
+    return trimmed(local, weight, *_COMMON) - local
 
 
 def like_skin(local: np.ndarray, common: np.ndarray, nodes: Nodes) -> np.ndarray:

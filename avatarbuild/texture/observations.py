@@ -10,7 +10,7 @@ import igl
 import numpy as np
 from scipy.spatial import cKDTree
 
-from avatarbuild.geometry.meshes import vertex_normals
+from avatarbuild.geometry.meshes import adjacency, vertex_normals
 from avatarbuild.parallel import in_order
 from avatarbuild.template import Template
 from avatarbuild.texture.photos import Photo, linear_picture, shrunk
@@ -30,7 +30,7 @@ class Nodes:
     The template's vertices and the midpoints of their edges. position (n, 3) mm in the head frame, normal (n, 3) unit;
     triangles (4 m, 3), four for each of the template's in its order; uv (u, 2) and uv_triangles (4 m, 3); skin (n,)
     bool: a photo may be asked for its colour; front (n,) in [0, 1]: lids, lips and brows, which frontal photos show;
-    face (n,) bool.
+    relief (n,) in [0, 1]: these and the ears, whose colours change within a millimetre; face (n,) bool.
     """
 
     position: np.ndarray
@@ -40,6 +40,7 @@ class Nodes:
     uv_triangles: np.ndarray
     skin: np.ndarray
     front: np.ndarray
+    relief: np.ndarray
     face: np.ndarray
 
 
@@ -78,8 +79,12 @@ def nodes_of(
         for centre, radius in zip(*eyes):
             skin[np.linalg.norm(vertices - centre, axis=1) < radius + _LID] = 0
     front = np.any([template.regions[name] for name in ("lids", "lips", "brows")], axis=0).astype(float)
+    relief = np.maximum(front, template.regions["ears"])
+    ring = adjacency(template.vertex_count, template.triangles)
+    relief = np.maximum(relief, (ring @ relief > 0).astype(float))
+    relief = np.maximum(relief, np.where(ring @ relief > 0, 0.5, 0.0))
     own = vertex_normals(vertices, template.triangles)
-    columns = np.column_stack([vertices, own, skin, front, template.regions["face"]])
+    columns = np.column_stack([vertices, own, skin, front, relief, template.regions["face"]])
     fine, triangles = igl.upsample(columns, template.triangles.astype(np.int64))
     flat = np.column_stack([template.uv, np.zeros(len(template.uv))])
     uv, uv_triangles = igl.upsample(flat, template.uv_triangles.astype(np.int64))
@@ -92,7 +97,8 @@ def nodes_of(
         uv_triangles.astype(np.int32),
         fine[:, 6] > 0.75,
         fine[:, 7],
-        fine[:, 8] > 0.5,
+        fine[:, 8],
+        fine[:, 9] > 0.5,
     )
 
 
@@ -130,8 +136,8 @@ def _observed(photo: Photo, seen_by: Guard, nodes: Nodes) -> tuple[np.ndarray, .
     low = np.maximum(np.floor(seen.pixels[use].min(axis=0)).astype(int) - 2 * factor, 0)
     high = np.ceil(seen.pixels[use].max(axis=0)).astype(int) + 2 * factor
     rgb = photo.image.rgb()[low[1] : high[1], low[0] : high[0]]
-    clipped: np.ndarray = shrunk((rgb >= SATURATED).any(axis=2).astype(np.float32), factor)
-    clipped = cv2.blur(clipped, (3, 3))
+    hot: np.ndarray = np.any(rgb >= SATURATED, axis=2)
+    clipped = cv2.blur(shrunk(hot.astype(np.float32), factor), (3, 3))
     picture = linear_picture(rgb)
     grey: np.ndarray = np.dot(picture, _GREY)
     rough: np.ndarray = np.subtract(grey, cv2.blur(grey, (3, 3)))
