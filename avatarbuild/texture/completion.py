@@ -204,7 +204,7 @@ def _lay_eyes(out: np.ndarray, eye: np.ndarray, template: Template, part: np.nda
         e = eye.shape[0]
         x = ((np.arange(left, right) + 0.5) / size - low[0]) / (high[0] - low[0]) * e - 0.5
         y = (1 - (1 - (np.arange(top, bottom) + 0.5) / size - low[1]) / (high[1] - low[1])) * e - 0.5
-        source = eye.astype(np.float32)
+        source: np.ndarray = eye.astype(np.float32)
         step = e / max(right - left, 1)
         if step > 1.5:
             source = cv2.GaussianBlur(source, (0, 0), 0.4 * step)

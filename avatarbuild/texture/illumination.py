@@ -164,7 +164,7 @@ def _without_highlights(fused: Fused, matt: np.ndarray, seen: np.ndarray, size: 
         return fused.colour.astype(np.float32, copy=True)
     grid = matt.shape[0]
     low_size = cv2.resize(fused.colour, (grid, grid), interpolation=cv2.INTER_AREA)
-    excess = np.where((seen > 0)[..., None], np.maximum(low_size - matt, 0), 0).astype(np.float32)
+    excess: np.ndarray = np.where((seen > 0)[..., None], np.maximum(low_size - matt, 0), 0).astype(np.float32)
     excess = cv2.GaussianBlur(_continued(excess, seen > 0), (0, 0), 2.0 * grid / 1024)
     return np.maximum(fused.colour - _resized(excess, size), 0.3 * fused.colour)
 

@@ -1,0 +1,139 @@
+"""Completion: what was seen stays, no border shows, the person's colour and pores go on, inner parts have theirs."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from avatarbuild.template import Template
+from avatarbuild.texture import completion, template_skin
+from avatarbuild.texture.chart import draw_chart
+
+SIZE = 512
+SKIN = np.array([0.24, 0.13, 0.085])
+
+
+@lru_cache
+def scene() -> SimpleNamespace:
+    """A darker person than the template, with pores, whose left side nobody saw; and the completed texture."""
+    template = Template.load()
+    chart = draw_chart(template, template.uv, template.uv_triangles, SIZE)
+    x = chart.field(template.mean, template.triangles)[..., 0]
+    z = chart.field(template.mean, template.triangles)[..., 2]
+    rng = np.random.default_rng(4)
+    noise = cv2.GaussianBlur(rng.standard_normal((SIZE, SIZE)).astype(np.float32), (0, 0), 0.8)
+    noise *= 0.06 / noise.std()
+    albedo = (SKIN * np.exp(noise)[..., None]).astype(np.float32)
+    skin = chart.part == 1
+    seen = np.where(skin & (x < 12) & (z > -50), 0.9, 0).astype(np.float32)
+    albedo[seen == 0] = 0
+    texture = template_skin.skin_texture(template, SIZE)
+    whole = completion.complete(albedo, seen, template, texture)
+    hidden = chart.field(
+        (template.regions["mouth"] | template.regions["sockets"] | template.regions["lips"]).astype(np.float32),
+        template.triangles,
+    )
+    return SimpleNamespace(
+        template=template, chart=chart, albedo=albedo, seen=seen, texture=texture, whole=whole, x=x, z=z, hidden=hidden
+    )
+
+
+def test_seen_texels_are_untouched() -> None:
+    s = scene()
+    deep = cv2.erode((s.seen > 0).astype(np.uint8), np.ones((17, 17))) > 0
+    assert deep.sum() > 5000
+    deep &= cv2.dilate(s.hidden, np.ones((17, 17))) == 0
+    assert np.array_equal(s.whole[deep], s.albedo[deep])
+
+
+def test_nothing_is_left_empty() -> None:
+    s = scene()
+    assert (s.whole.max(axis=-1) > 0.0025).all()  # a pupil is 0.003
+    assert np.isfinite(s.whole).all()
+    assert s.whole.dtype == np.float32
+
+
+def test_no_border_shows() -> None:
+    """Means of strips on both sides of the border differ no more than those of strips within what was seen."""
+    s = scene()
+    log = np.log(s.whole.mean(axis=-1))
+    face = (s.chart.field(s.template.regions["face"].astype(float), s.template.triangles) > 0.99) & (s.hidden == 0)
+    level = lambda low, high: log[face & (s.x > low) & (s.x <= high)].mean()  # noqa: E731
+    at_border = abs(level(12, 18) - level(6, 12))
+    assert at_border < 0.04
+    assert abs(level(18, 30) - level(-6, 6)) < 0.12
+
+
+def test_the_persons_colour_goes_on() -> None:
+    s = scene()
+    face = (s.chart.field(s.template.regions["face"].astype(float), s.template.triangles) > 0.99) & (s.hidden == 0)
+    unseen = np.median(s.whole[face & (s.x > 25)], axis=0)
+    assert np.allclose(unseen / SKIN, 1, atol=0.15)
+    back = np.median(s.whole[(s.chart.part == 1) & (s.z < -120)], axis=0)
+    assert np.allclose(back / SKIN, 1, atol=0.3)
+
+
+def test_pores_match() -> None:
+    s = scene()
+    log = np.log(s.whole.mean(axis=-1))
+    fine = log - cv2.GaussianBlur(log, (0, 0), 1.5)
+    face = (s.chart.field(s.template.regions["face"].astype(float), s.template.triangles) > 0.99) & (s.hidden == 0)
+    ratio = fine[face & (s.x > 25)].std() / fine[face & (s.x < 0)].std()
+    assert ratio == pytest.approx(1, abs=0.2)
+
+
+def test_parts_keep_the_textures_colours() -> None:
+    s = scene()
+    for part in range(2, 8):
+        at = s.chart.part == part
+        assert np.array_equal(s.whole[at], s.texture[at])
+
+
+def test_eyes() -> None:
+    s = scene()
+    eye = np.zeros((64, 64, 3), np.float32)
+    eye[:32] = [0.1, 0.2, 0.3]
+    eye[32:] = [0.5, 0.4, 0.3]
+    whole = completion.complete(s.albedo, s.seen, s.template, s.texture, eye)
+    for part in (2, 3):
+        rows = np.nonzero((s.chart.part == part).any(axis=1))[0]
+        upper = s.chart.part == part
+        upper[(rows.min() + rows.max()) // 2 - 3 :] = False
+        assert np.allclose(whole[upper], [0.1, 0.2, 0.3], atol=1e-5)
+
+
+def test_nothing_seen_gives_the_template() -> None:
+    s = scene()
+    whole = completion.complete(np.zeros_like(s.albedo), np.zeros_like(s.seen), s.template, s.texture)
+    assert np.array_equal(whole[s.chart.part == 1], s.texture[s.chart.part == 1])
+
+
+def test_it_repeats() -> None:
+    s = scene()
+    assert np.array_equal(s.whole, completion.complete(s.albedo, s.seen, s.template, s.texture))
+
+
+def test_the_shipped_texture() -> None:
+    """Lips are redder than cheeks, teeth are the brightest, and the file is small."""
+    s = scene()
+    lips = s.chart.field(s.template.regions["lips"].astype(float), s.template.triangles) > 0.99
+    cheek = (s.chart.field(s.template.regions["face"].astype(float), s.template.triangles) > 0.99) & (s.hidden == 0)
+    redness = lambda at: np.median(s.texture[at][:, 0] / s.texture[at][:, 1])  # noqa: E731
+    assert redness(lips) > 1.2 * redness(cheek)
+    assert s.texture[s.chart.part == 4].mean() > 1.3 * s.texture[s.chart.part == 1].mean()
+    from avatarbuild.template import template_folder
+
+    assert (template_folder() / "skin.jpg").stat().st_size < 1.5e6
+
+
+def test_a_template_without_a_texture_has_plain_colours() -> None:
+    from dataclasses import replace
+
+    other = replace(scene().template, name="another")
+    image = template_skin.skin_texture(other, 128)
+    assert image.shape == (128, 128, 3)
+    assert (image > 0).all()
