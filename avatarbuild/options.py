@@ -113,6 +113,7 @@ class AlbedoOptions:
     leave_out: str = option(
         "", NAMES, "Photos kept out of the texture alone (names with commas between them), to render them as a check."
     )
+    detail_size: int = option(2048, "texels", "Side of the normal and occlusion maps.", draft=1024, least=64)
     blend: float = option(8.0, "mm", "Distance over which a step between two photos' patches fades.", least=0.5)
 
 

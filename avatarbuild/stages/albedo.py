@@ -15,13 +15,14 @@ from avatarbuild.options import AlbedoOptions
 from avatarbuild.progress import Progress
 from avatarbuild.sfm.metric import placed_photos
 from avatarbuild.template import Template
-from avatarbuild.texture import illumination
+from avatarbuild.texture import completion, illumination, static_detail
 from avatarbuild.texture.fused import Fused
 from avatarbuild.texture.fusion import fuse
-from avatarbuild.texture.inner_charts import paint_inner_parts, spread
-from avatarbuild.texture.photos import placed_in_head, srgb_picture
+from avatarbuild.texture.photos import linear_picture, placed_in_head, srgb_picture
+from avatarbuild.texture.template_skin import skin_texture
 
 LEAST_PHOTOS = 3
+_SURE = 0.2  # how well a texel is seen from which its fused colour stands alone
 
 
 def run(
@@ -49,9 +50,14 @@ def run(
     with progress.task("Taking the light out", 3) as task:
         light = illumination.factor(fused, template, neutral)
         task.advance()
-        albedo = complete(light.albedo, fused, template, neutral)
+        skin = skin_texture(template, options.size)
+        albedo = completion.complete(light.albedo, fused.seen, template, skin, linear_picture(neutral.eye_texture))
+        del skin
+        lit = completed_lit(fused, albedo, light.shading)
         task.advance()
-        lit = complete(fused.colour, fused, template, neutral)
+        turn, shift = neutral.head_from_cloud[:3, :3], neutral.head_from_cloud[:3, 3]
+        cloud, size = points.points @ turn.T + shift, min(options.detail_size, options.size)
+        detail = static_detail.maps(template, neutral.vertices, cloud, albedo, fused.seen, light.open, size=size)
         task.advance()
     gains = np.ones((len(placed.index), 3))
     gains[[photo.placed for photo in photos]] = choice.gains
@@ -63,8 +69,8 @@ def run(
         fused=srgb_picture(lit),
         illumination=srgb_picture(light.shading / max(float(brightest), 1e-6)),
         coverage=np.round(255 * np.clip(fused.seen, 0, 1)).astype(np.uint8),
-        normal=np.full((16, 16, 3), (128, 128, 255), np.uint8),
-        occlusion=np.full((16, 16), 255, np.uint8),
+        normal=detail.normal,
+        occlusion=detail.occlusion,
         harmonics=light.harmonics,
         skin_colour=light.skin_colour,
         gains=gains,
@@ -87,8 +93,10 @@ def left_out(photos: Views, names: str) -> set[int]:
     return out
 
 
-def complete(colour: np.ndarray, fused: Fused, template: Template, neutral: Neutral) -> np.ndarray:
-    """(s, s, 3) linear: `colour` where the photos saw the skin, continued over the rest, and the inner parts."""
-    whole = spread(colour, fused.label >= 0)
-    paint_inner_parts(whole, fused.part, template, neutral.eye_texture)
-    return spread(whole, fused.chart)
+def completed_lit(fused: Fused, albedo: np.ndarray, shading: np.ndarray) -> np.ndarray:
+    """(s, s, 3) the fused colours; where no photo saw the skin, the completed albedo under the light; other parts as
+    they are in the albedo."""
+    skin = fused.part == 1
+    sure = np.clip(fused.seen * (1 / _SURE), 0, 1)[..., None]
+    lit = sure * fused.colour + (1 - sure) * albedo * shading
+    return np.where(skin[..., None], lit, albedo)
