@@ -15,6 +15,7 @@ import numpy as np
 from avatarbuild import __version__
 from avatarbuild.formats.gltf import Writer
 from avatarbuild.geometry.meshes import vertex_normals
+from avatarbuild.geometry.tangents import vertex_tangents
 from avatarbuild.template import COMBINATION_LIMITS, Template
 
 METRES = 1e-3  # a millimetre
@@ -156,6 +157,10 @@ def write(
         }
         if part == "skin" or eye is not None or pictures.albedo is not None:
             attributes["TEXCOORD_0"] = writer.attribute(np.stack([split.uv[:, 0], 1 - split.uv[:, 1]], axis=1))
+        if part == "skin" and pictures.normal is not None:
+            # the map was made in these tangents; without them a viewer guesses, and the validator warns
+            turned = vertex_tangents(rig.neutral[v][split.sources], normals[v][split.sources], split.uv, split.triangles)
+            attributes["TANGENT"] = writer.attribute(turned)
         primitive: dict[str, Any] = {
             "attributes": attributes,
             "indices": writer.indices(split.triangles),
