@@ -56,6 +56,7 @@ class SimulationOptions:
         0.0, "weight", "Size of the expression that comes and goes over the photos.", least=0
     )
     second_person: bool = option(False, "yes or no", "Somebody else sits behind the subject.")
+    light: int = option(-1, "number", "Another light for the same person, room and photos; -1: the seed's own.", least=-1)
 
 
 @dataclass(frozen=True)
@@ -103,6 +104,7 @@ def simulate(
         spread=o.identity_spread,
         deviation=o.deviation,
         second_person=o.second_person,
+        light=o.light,
     )
     order = truth.order_of(head)
     exposure = _exposure(studio, studio.light)

@@ -76,13 +76,20 @@ def build_studio(
     spread: float = 0.7,
     deviation: float = 1.0,
     second_person: bool = False,
+    light: int = -1,
 ) -> Studio:
-    """The scene of a seed; `texture` texels along the side of the skin's chart, `texel` mm of the room's walls."""
+    """
+    The scene of a seed; `texture` texels along the side of the skin's chart, `texel` mm of the room's walls. A `light`
+    of 0 or more replaces the room's by one that this number alone decides, from another side.
+    """
     person = np.random.default_rng([seed, 1])
     subject = random_subject(template, person, spread=spread, deviation=deviation)
     rng = np.random.default_rng([seed, 2])
     room = furnished_room(rng, texel, collar_of(subject))
-    light = room_light(rng, room.towards_window)
+    shining = room_light(rng, room.towards_window)
+    if light >= 0:
+        other = np.random.default_rng([light, 9])
+        shining = room_light(other, np.array([other.choice([-1, 1]) * other.uniform(0.3, 1.0), 0.2, 0.5]))
     shirt = room.vertices[room.shirt], room.triangles[room.shirt[room.triangles].all(axis=1)]
     number = np.full(len(room.vertices), -1)
     number[room.shirt] = np.arange(len(shirt[0]))
@@ -100,7 +107,7 @@ def build_studio(
         neighbour = np.random.default_rng([seed, 8])
         other = random_subject(template, neighbour, spread=spread, deviation=deviation)
         others.append((build_head(other, neighbour, min(texture, 1024), shirt=None), place))
-    return Studio(head, room, light, build_mipmap(room.albedo), shirt_open, others)
+    return Studio(head, room, shining, build_mipmap(room.albedo), shirt_open, others)
 
 
 def collar_of(subject: Subject) -> np.ndarray:
