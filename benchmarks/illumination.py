@@ -1,0 +1,169 @@
+"""What the factorisation of the light does: on simulated skin under three lights, and on a project, as pictures.
+
+python benchmarks/illumination.py lights --seed 101
+python benchmarks/illumination.py pictures PROJECT docs/images
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from avatarbuild.artefacts import Cameras, Capture, Neutral
+from avatarbuild.formats.colour import srgb_from_linear
+from avatarbuild.geometry.meshes import vertex_normals
+from avatarbuild.sfm.metric import placed_photos
+from avatarbuild.simulation import chart as simulated_chart
+from avatarbuild.simulation.light import harmonic_basis, occlusion, room_light
+from avatarbuild.simulation.skin import paint, random_person
+from avatarbuild.simulation.subject import random_subject
+from avatarbuild.template import Template
+from avatarbuild.texture import illumination
+from avatarbuild.texture.chart import Chart, draw_chart
+from avatarbuild.texture.fused import Fused
+
+SIZE = 512
+HIDDEN = ("lids", "mouth", "sockets")
+
+
+def face_of(template: Template, chart: Chart) -> np.ndarray:
+    """(s, s) bool: the face without lids, mouth and sockets."""
+    aside = np.zeros(len(template.mean))
+    for name in HIDDEN:
+        aside[template.regions[name]] = 1
+    face = chart.field(template.regions["face"].astype(float), template.triangles) > 0.99
+    return face & (chart.field(aside, template.triangles) == 0)
+
+
+def simulated(seed: int, lights: int) -> tuple[np.ndarray, list[Fused], SimpleNamespace, Chart]:
+    """
+    True albedo (s, s, 3), the head as fused under `lights` lights of rooms, its neutral, and the chart.
+
+    The light is the simulator's: its occlusion, its colours of hollows and its bent normals are not those of
+    `texture.illumination`. No gloss and no noise: what remains is the factorisation's own error.
+    """
+    template = Template.load()
+    rng = np.random.default_rng([seed, 1])
+    subject = random_subject(template, rng)
+    albedo = paint(simulated_chart.chart_of(template, SIZE), random_person(rng)).albedo
+    chart = draw_chart(template, template.uv, template.uv_triangles, SIZE)
+    vertices = subject.neutral
+    normals = vertex_normals(vertices, template.triangles)
+    open_, bent = occlusion(vertices, template.triangles, vertices, normals)
+    lean = normals + 0.55 * (1 - open_)[:, None] * (bent - normals)
+    lean /= np.linalg.norm(lean, axis=1, keepdims=True)
+    position = chart.field(vertices, template.triangles)
+    normal = chart.field(normals, template.triangles)
+    seen = ((chart.part == 1) & (position[..., 2] > -75)).astype(np.float32)
+    fused = []
+    for k in range(lights):
+        other = np.random.default_rng([k, 9])
+        light = room_light(other, np.array([other.choice([-1, 1]) * other.uniform(0.3, 1.0), 0.2, 0.5]))
+        hollow = np.maximum(open_, 1e-3)[:, None] ** (0.75 + 0.18 * np.arange(3))
+        lit = np.maximum(harmonic_basis(lean) @ light.harmonics, 0) * hollow
+        lit = chart.field(lit / np.median(lit), template.triangles)
+        label = np.where(seen > 0, 0, -1).astype(np.int16)
+        colour = (albedo * lit * seen[..., None]).astype(np.float32)
+        fused.append(Fused(colour, seen, label, position, normal, chart.part > 0, chart.part))
+    return albedo, fused, SimpleNamespace(vertices=vertices), chart
+
+
+def apart(images: list[np.ndarray], on: np.ndarray) -> float:
+    """Mean over the pairs of sum |a - b| / sum b in percent, after one scale a channel."""
+    found = []
+    for i, first in enumerate(images):
+        for second in images[i + 1 :]:
+            a, b = first[on], second[on]
+            a = a * np.exp(np.median(np.log(b + 1e-3) - np.log(a + 1e-3), axis=0))
+            found.append(np.abs(a - b).sum() / b.sum())
+    return 100 * float(np.mean(found))
+
+
+def lights(seed: int) -> None:
+    """The table of one simulated head under three lights."""
+    albedo, fused, neutral, chart = simulated(seed, 3)
+    template = Template.load()
+    on = face_of(template, chart) & (fused[0].seen > 0)
+    rows = {"fused": [f.colour for f in fused]}
+    for name, weights in (("harmonics", {"field": False}), ("harmonics + field", {})):
+        o = illumination.LightWeights(**weights)  # type: ignore[arg-type]
+        rows[name] = [illumination.factor(f, template, neutral, o).albedo for f in fused]  # type: ignore[arg-type]
+    print(f"seed {seed}, face, percent: difference of the three | error against the truth")
+    for name, images in rows.items():
+        errors = [apart([image, albedo], on) for image in images]
+        print(f"  {name:20s} {apart(images, on):6.2f} | " + "  ".join(f"{e:.2f}" for e in errors))
+
+
+def fused_of(project: Path, size: int) -> tuple[Fused, Neutral]:
+    """A project's fused texture, found again."""
+    from avatarbuild.options import AlbedoOptions
+    from avatarbuild.texture.fusion import fuse
+    from avatarbuild.texture.photos import placed_in_head
+
+    template = Template.load()
+    capture, cameras = Capture.load(project / "01-capture"), Cameras.load(project / "02-cameras")
+    neutral = Neutral.load(project / "04-neutral")
+    placed = placed_photos(cameras.model, [f"{name}.jpg" for name in capture.photos.names])
+    photos = placed_in_head(capture.photos, placed, neutral.head_from_cloud)
+    still = capture.neutral[[photo.photo for photo in photos]]
+    eyes = (neutral.eye_centres, neutral.eye_radius)
+    fused, _, _ = fuse(
+        *(template, neutral.vertices, neutral.seen, photos, still, size, AlbedoOptions().blend, eyes, lambda *a: None)
+    )
+    return fused, neutral
+
+
+def pictures(project: Path, folder: Path, size: int) -> None:
+    """The two pictures of docs/illumination.md."""
+    template = Template.load()
+    fused, neutral = fused_of(project, size)
+    cut = np.s_[int(0.12 * size) : int(0.86 * size), int(0.12 * size) : int(0.88 * size)]
+
+    def tile(image: np.ndarray, gain: float = 1.0) -> np.ndarray:
+        small = cv2.resize(image[cut].astype(np.float32) * gain, (420, 410), interpolation=cv2.INTER_AREA)
+        return np.round(255 * srgb_from_linear(np.clip(small, 0, 1))).astype(np.uint8)[..., ::-1]
+
+    start = time.perf_counter()
+    both = illumination.factor(fused, template, neutral)
+    print(f"{size}^2: {time.perf_counter() - start:.1f} s")
+    alone = illumination.factor(fused, template, neutral, illumination.LightWeights(field=False))
+    row = [tile(fused.colour), tile(alone.shading, 0.5), tile(alone.albedo)]
+    row += [tile(both.shading, 0.5), tile(both.albedo)]
+    _write(folder / "illumination-stages.jpg", np.hstack(row))
+    row = []
+    for length in (6.0, 12.0, 25.0, 50.0, 100.0):
+        o = illumination.LightWeights(field_length=length, even_length=length)
+        row.append(tile(illumination.factor(fused, template, neutral, o).albedo))
+    _write(folder / "illumination-smoothness.jpg", np.hstack(row))
+
+
+def _write(path: Path, image: np.ndarray) -> None:
+    cv2.imwrite(str(path), image, [cv2.IMWRITE_JPEG_QUALITY, 88])
+    print(path)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    verbs = parser.add_subparsers(dest="verb", required=True)
+    verbs.add_parser("lights").add_argument("--seed", type=int, default=101)
+    drawn = verbs.add_parser("pictures")
+    drawn.add_argument("project", type=Path)
+    drawn.add_argument("folder", type=Path)
+    drawn.add_argument("--size", type=int, default=1024)
+    o = parser.parse_args()
+    if o.verb == "lights":
+        lights(o.seed)
+    else:
+        pictures(o.project, o.folder, o.size)
+
+
+if __name__ == "__main__":
+    main()
