@@ -96,7 +96,7 @@ def left_out(photos: Views, names: str) -> set[int]:
 def completed_lit(fused: Fused, albedo: np.ndarray, shading: np.ndarray) -> np.ndarray:
     """(s, s, 3) the fused colours; where no photo saw the skin, the completed albedo under the light; other parts as
     they are in the albedo."""
-    skin = fused.part == 1
+    skin = fused.part <= 1  # and the gutter around it
     sure = np.clip(fused.seen * (1 / _SURE), 0, 1)[..., None]
     lit = sure * fused.colour + (1 - sure) * albedo * shading
     return np.where(skin[..., None], lit, albedo)

@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
+from avatarbuild.geometry.meshes import adjacency, vertex_areas
 from avatarbuild.geometry.meshes import edges as mesh_edges
-from avatarbuild.geometry.meshes import vertex_areas
 from avatarbuild.solvers.poisson import Grid, divergence
 from avatarbuild.template import Template
 from avatarbuild.texture.borders import border_pairs, correct, texel_labels
@@ -83,7 +83,7 @@ def choice(nodes: Nodes, seen: Observations, photos: list[Photo], still: np.ndar
     grey = lambda c: np.log(np.maximum(c.mean(axis=-1), 1e-3))  # noqa: E731
     excess = np.where(shown, grey(local) - grey(common), 0)
     score = scores(seen, photos, nodes, excess, sharpness, still)
-    score *= like_skin(local, common, nodes)
+    score *= like_skin(near[0], common, nodes) * like_skin(local, common, nodes)
     area = vertex_areas(nodes.position, nodes.triangles)
     pairs, _ = mesh_edges(nodes.triangles)
     span = np.linalg.norm(nodes.position[pairs[:, 0]] - nodes.position[pairs[:, 1]], axis=1)
@@ -124,9 +124,10 @@ def like_skin(local: np.ndarray, common: np.ndarray, nodes: Nodes) -> np.ndarray
     judged = local[:, below]
     off = chroma(judged) - light(judged) @ line
     far = np.sqrt(np.einsum("pni,ij,pnj->pn", off, scatter, off))
-    out = np.ones(local.shape[:2], np.float32)
-    out[:, below] = far < _FAR
-    return out
+    cloth = np.zeros(local.shape[:2], np.float32)
+    cloth[:, below] = far >= _FAR
+    ring = adjacency(len(nodes.position), nodes.triangles)
+    return (cloth + (ring @ cloth.T).T == 0).astype(np.float32)
 
 
 def fuse(
