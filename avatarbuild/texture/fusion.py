@@ -152,7 +152,7 @@ def fuse(
     seen = observe(photos, nodes, vertices, template.triangles, lambda: tell(0.35 / len(photos)))
     chosen = choice(nodes, seen, photos, still)
     tell(0.2)
-    chart = draw_chart(template, nodes.uv, nodes.uv_triangles, size)
+    chart = chart_at(template, nodes, size)
     position = chart.field(nodes.position, nodes.triangles)
     label = np.empty((size, size), np.int16)
     texel_labels(chart.triangle, chart.barycentric, nodes.triangles, chosen.label, label)
@@ -192,6 +192,11 @@ def fuse(
         "poisson_steps": max(taken),
     }
     return fused, chosen, figures
+
+
+def chart_at(template: Template, nodes: Nodes, size: int) -> Chart:
+    """The chart of the nodes' triangles."""
+    return draw_chart(template, nodes.uv, nodes.uv_triangles, size)
 
 
 def corrected(

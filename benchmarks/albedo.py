@@ -1,0 +1,312 @@
+"""
+What the texture is worth: against the truth, at its seams, in photos it has not seen, in the video, and what it costs.
+
+python benchmarks/albedo.py PROJECT [--truth TRUTH --scorer score.py] [--glb avatar.glb] [--sizes 1024 2048 4096]
+    [--pictures FOLDER]
+AVATARBUILD_BENCHMARK=FOLDER stands for --truth FOLDER/truth_b --scorer FOLDER/score.py. The project's stages up to
+neutral must have run. Six photos are left out of the texture for the comparison with photos, none for the other rows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from avatarbuild.artefacts import Albedo, Cameras, Capture, Cloud, Neutral
+from avatarbuild.formats.images import encode_png
+from avatarbuild.geometry.meshes import vertex_normals
+from avatarbuild.geometry.mipmap import build_mipmap, sample_texture
+from avatarbuild.geometry.raster import Raster, interpolate, project, rasterise
+from avatarbuild.options import AlbedoOptions
+from avatarbuild.progress import Silent
+from avatarbuild.sfm.metric import placed_photos
+from avatarbuild.stages import albedo as stage
+from avatarbuild.template import Template
+from avatarbuild.texture.borders import border_pairs
+from avatarbuild.texture.chart import seam_ties
+from avatarbuild.texture.fusion import chart_at, corrected, fuse, texels_per_mm
+from avatarbuild.texture.observations import nodes_of
+from avatarbuild.texture.photos import Photo, linear_picture, placed_in_head, srgb_picture
+
+LEFT_OUT, FRAMES = 6, 10
+
+
+def main() -> None:
+    home = os.environ.get("AVATARBUILD_BENCHMARK")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("project", type=Path)
+    parser.add_argument("--truth", type=Path, default=Path(home) / "truth_b" if home else None)
+    parser.add_argument("--scorer", type=Path, default=Path(home) / "score.py" if home else None)
+    parser.add_argument("--glb", type=Path, help="the avatar with this neutral head, for the scorer")
+    parser.add_argument("--sizes", type=int, nargs="*", default=[1024, 2048, 4096])
+    parser.add_argument("--pictures", type=Path)
+    a = parser.parse_args()
+    capture = Capture.load(a.project / "01-capture")
+    cameras, cloud = Cameras.load(a.project / "02-cameras"), Cloud.load(a.project / "03-points")
+    neutral = Neutral.load(a.project / "04-neutral")
+    inputs = (capture, cameras, cloud, neutral)
+
+    made = None
+    print("texels  seconds  peak GB")
+    for size in a.sizes:
+        start = time.perf_counter()
+        made = stage.run(*inputs, AlbedoOptions(size=size), Silent())
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+        print(f"{size:6d} {time.perf_counter() - start:8.1f} {peak:8.2f}", flush=True)
+    if made is not None and a.truth and a.scorer and a.glb:
+        score(made, a.truth, a.scorer, a.glb)
+    seams(*inputs)
+    photos(*inputs, a.pictures)
+    if capture.clip is not None:
+        video(capture, neutral, made or stage.run(*inputs, AlbedoOptions(size=2048), Silent()), a.pictures)
+
+
+def score(made: Albedo, truth: Path, scorer: Path, glb: Path) -> None:
+    """The scorer's albedo row for the fused texture and for the albedo; normals are not looked at."""
+    with tempfile.TemporaryDirectory() as folder:
+        slim = Path(folder) / "truth"
+        slim.mkdir()
+        for file in truth.iterdir():
+            if not file.name.startswith("normals_"):
+                (slim / file.name).symlink_to(file.resolve())
+        for name in ("fused", "albedo"):
+            (Path(folder) / "texture.png").write_bytes(encode_png(getattr(made, name)))
+            command = [sys.executable, str(scorer), "--gt", str(slim), "--glb", str(glb), "--step", "300"]
+            done = subprocess.run(
+                [*command, "--albedo", str(Path(folder) / "texture.png")], capture_output=True, text=True, check=True
+            )
+            print(f"{name:8s}", next(line for line in done.stdout.splitlines() if line.startswith("albedo")))
+
+
+def seams(capture: Capture, cameras: Cameras, cloud: Cloud, neutral: Neutral) -> None:
+    """
+    Gradients of the fused texture across borders of patches and the chart's seam, over those of pairs 3 to 8 texels
+    away in the same direction; and how far the two photos' pictures are shifted against each other at the borders.
+    """
+    template, size = Template.load(), 2048
+    shots, still = fused_from(capture, cameras, neutral)
+    eyes = (neutral.eye_centres, neutral.eye_radius)
+    result, choice, _ = fuse(template, neutral.vertices, neutral.seen, shots, still, size, 8.0, eyes, lambda _: None)
+    grey = result.colour.mean(axis=2).reshape(-1)
+    label = result.label.reshape(-1)
+    pairs = border_pairs(result.label)
+
+    def steps(at: np.ndarray) -> np.ndarray:
+        use = (label[at] >= 0).all(axis=1)
+        p, q = at[use].T
+        return np.abs(grey[p] - grey[q]) / np.maximum(grey[p] + grey[q], 1e-3)
+
+    across = steps(pairs)
+    lying = pairs[:, 1] - pairs[:, 0] == 1
+    beside = []
+    for off in (-8, -5, -3, 3, 5, 8):
+        moved = np.clip(pairs + np.where(lying, off, off * size)[:, None], 0, size * size - 1)
+        same = label[moved[:, 0]] == label[moved[:, 1]]
+        beside.append(steps(moved[same]))
+    near = np.concatenate(beside)
+    ratio = across.mean() / near.mean()
+    print(f"borders of patches: gradient {across.mean():.5f}, beside them {near.mean():.5f}, ratio {ratio:.2f}")
+
+    nodes = nodes_of(template, neutral.vertices, neutral.seen, eyes)
+    chart = chart_at(template, nodes, size)
+    ties = seam_ties(template, chart)
+    ties = ties[(label[ties] >= 0).all(axis=1)]
+    if len(ties):
+        position = result.position.reshape(-1, 3)
+
+        def per_mm(at: np.ndarray) -> float:
+            apart = np.linalg.norm(position[at[:, 0]] - position[at[:, 1]], axis=1)
+            return float(np.mean(steps(at) / np.maximum(apart, 0.05)))
+
+        inner = np.concatenate([ties[:, :1], ties[:, :1] + 1], axis=1)
+        inner = inner[(label[inner] >= 0).all(axis=1)]
+        ratio = per_mm(ties) / per_mm(inner)
+        print(f"the chart's seam: {len(ties)} texels seen; gradient per mm over that beside it: {ratio:.2f}")
+    else:
+        print("the chart's seam: no photo sees it")
+
+    shift = misalignment(
+        shots, choice, nodes, chart, result.label, result.position, texels_per_mm(template, neutral.vertices, size)
+    )
+    if len(shift):
+        mm = texels_per_mm(template, neutral.vertices, size)
+        print(
+            f"misalignment at {len(shift)} places on borders: median {np.median(shift):.2f} texels of {size} = "
+            f"{np.median(shift) / mm:.2f} mm, 90 % below {np.percentile(shift, 90) / mm:.2f} mm"
+        )
+
+
+def misalignment(shots, choice, nodes, chart, label, position, texels) -> np.ndarray:  # type: ignore[no-untyped-def]
+    """Texels by which two photos' windows of 33 texels around places on borders are shifted, by phase correlation."""
+    size = chart.size
+    pairs = border_pairs(label)
+    rng = np.random.default_rng(0)
+    places = pairs[rng.permutation(len(pairs))[:400]]
+    half = 16
+    y, x = np.mgrid[-half : half + 1, -half : half + 1]
+    flat, out = label.reshape(-1), []
+    windows, labels = [], []
+    for p, q in places:
+        r, c = p // size, p % size
+        if half <= r < size - half and half <= c < size - half:
+            at = ((r + y) * size + c + x).reshape(-1)
+            if (flat[at] >= 0).all():
+                windows.append(at)
+                labels.append((flat[p], flat[q]))
+    if not windows:
+        return np.zeros(0)
+    at = np.concatenate(windows)
+    seen = [
+        corrected(
+            shots,
+            choice,
+            nodes,
+            chart,
+            np.repeat([pair[k] for pair in labels], len(windows[0])).astype(np.int16),
+            at,
+            position.reshape(-1, 3),
+            texels,
+        )
+        for k in range(2)
+    ]
+    side = 2 * half + 1
+    hann = cv2.createHanningWindow((side, side), cv2.CV_32F)
+    for i in range(len(windows)):
+        part = slice(i * side * side, (i + 1) * side * side)
+        one, two = (np.log(np.maximum(s[part].mean(axis=1), 1e-3)).reshape(side, side).astype(np.float32) for s in seen)
+        one, two = (w - cv2.GaussianBlur(w, (0, 0), 5) for w in (one, two))
+        (dx, dy), sure = cv2.phaseCorrelate(one, two, hann)
+        if sure > 0.3:
+            out.append(np.hypot(dx, dy))
+    return np.array(out)
+
+
+def fused_from(capture: Capture, cameras: Cameras, neutral: Neutral) -> tuple[list[Photo], np.ndarray]:
+    """The placed photos, and which of them have the common expression."""
+    placed = placed_photos(cameras.model, [f"{name}.jpg" for name in capture.photos.names])
+    return placed_in_head(capture.photos, placed, neutral.head_from_cloud), capture.neutral[placed.index]
+
+
+def photos(capture: Capture, cameras: Cameras, cloud: Cloud, neutral: Neutral, pictures: Path | None) -> None:
+    """PSNR on the face in photos that the texture has not seen, after one gain per channel."""
+    shots, _ = fused_from(capture, cameras, neutral)
+    order = np.argsort([photo.yaw for photo in shots])
+    out = [shots[i] for i in order[np.linspace(0, len(shots) - 1, LEFT_OUT + 2).astype(int)[1:-1]]]
+    names = ",".join(photo.name for photo in out)
+    made = stage.run(capture, cameras, cloud, neutral, AlbedoOptions(size=2048, leave_out=names), Silent())
+    light = linear_picture(made.illumination)
+    textures = {
+        "fused, lit": linear_picture(made.fused),
+        "albedo under the estimated light": linear_picture(made.albedo) * light,
+    }
+    print("PSNR on the face in photos left out:")
+    for name, texture in textures.items():
+        values = []
+        for photo in out:
+            picture, shown, cosine, _ = rendered(neutral, texture, photo.K, photo.dist, photo.R, photo.t, photo.size)
+            real = linear_picture(photo.image.rgb())
+            use = shown & (cosine > 0.3) & (real.max(axis=2) < 0.95)
+            gain = np.median(real[use] / np.maximum(picture[use], 1e-3), axis=0)
+            values.append(psnr(picture * gain, real, use))
+            if pictures is not None:
+                side_by_side(pictures / f"{photo.name}-{name.split()[0].strip(',')}.png", picture * gain, real, shown)
+        print(f"  {name:34s} {np.mean(values):5.1f} dB ({', '.join(f'{v:.1f}' for v in values)})")
+
+
+def video(capture: Capture, neutral: Neutral, made: Albedo, pictures: Path | None) -> None:
+    """PSNR on the face in the video's most neutral frames: head placed by landmarks, nine harmonics fitted."""
+    assert capture.clip is not None
+    template, frames = Template.load(), capture.clip.frames
+    w, h = frames.size[0]
+    K = np.array([[capture.clip.focal, 0, w / 2], [0, capture.clip.focal, h / 2], [0, 0, 1]])
+    marks = template.landmarks(neutral.vertices)
+    rigid = np.flatnonzero(~template.landmark_sliding & (np.abs(marks[:, 1]) < 60))
+    placed = []
+    for i in range(len(frames)):
+        if not frames.presence[i] > 0.9:
+            continue
+        found, turn, shift = cv2.solvePnP(marks[rigid], frames.landmarks[i, rigid, :2].astype(float), K, None)
+        if not found:
+            continue
+        off = cv2.projectPoints(marks, turn, shift, K, None)[0][:, 0] - frames.landmarks[i, :, :2]
+        placed.append((float(np.median(np.linalg.norm(off, axis=1))), i, cv2.Rodrigues(turn)[0], shift[:, 0]))
+    placed.sort(key=lambda row: row[0])
+    print("PSNR on the face in video frames, light refitted:")
+    means = {}
+    for name in ("fused", "albedo"):
+        texture, values = linear_picture(getattr(made, name)), []
+        for _, i, R, t in placed[:FRAMES]:
+            picture, shown, cosine, normal = rendered(neutral, texture, K, np.zeros(5), R, t, (w, h))
+            real = linear_picture(frames.images[i].rgb())
+            use = shown & (cosine > 0.3)
+            phi = harmonics(normal[use])
+            lit = np.zeros_like(picture)
+            for c in range(3):
+                A = phi * picture[use][:, c : c + 1]
+                lit[use, c] = A @ np.linalg.lstsq(A, real[use][:, c], rcond=None)[0]
+            values.append(psnr(lit, real, use))
+            if pictures is not None:
+                side_by_side(pictures / f"frame{frames.names[i]}-{name}.png", lit, real, use)
+        means[name] = float(np.mean(values))
+        print(f"  {name:34s} {means[name]:5.1f} dB ({', '.join(f'{v:.1f}' for v in values)})")
+    print(f"  the albedo is better by {means['albedo'] - means['fused']:.1f} dB")
+
+
+def harmonics(n: np.ndarray) -> np.ndarray:
+    """(p, 9) phi(n) of equation (2)."""
+    x, y, z = n.T
+    return np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x - y * y, 3 * z * z - 1], axis=1)
+
+
+def rendered(
+    neutral: Neutral,
+    texture: np.ndarray,
+    K: np.ndarray,
+    dist: np.ndarray,
+    R: np.ndarray,
+    t: np.ndarray,
+    size: tuple[int, int],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The textured head: picture (h, w, 3) linear, face (h, w) without eyes and mouth, cosine, normal (h, w, 3)."""
+    template = Template.load()
+    pixels, depth = project(neutral.vertices, K, dist, R, t)
+    raster: Raster = rasterise(pixels, depth, template.triangles, size)
+    picture = sample_texture(
+        build_mipmap(texture), raster, pixels, depth, template.triangles, template.uv, template.uv_triangles
+    )
+    normals = vertex_normals(neutral.vertices, template.triangles)
+    towards = -R.T @ t - neutral.vertices
+    cosine = np.einsum("ij,ij->i", normals, towards) / np.linalg.norm(towards, axis=1)
+    inside = template.regions["face"] & ~template.regions["sockets"] & ~template.regions["mouth"]
+    columns = np.column_stack([inside, cosine, normals])
+    smooth = interpolate(columns, template.triangles, raster.triangle, raster.barycentric)
+    face = smooth[..., 0] > 0.99
+    face &= raster.triangle < template.parts["skin"].triangles.stop
+    normal = smooth[..., 2:] / np.maximum(np.linalg.norm(smooth[..., 2:], axis=2, keepdims=True), 1e-6)
+    return picture, face & (raster.triangle >= 0), smooth[..., 1], normal
+
+
+def psnr(a: np.ndarray, b: np.ndarray, use: np.ndarray) -> float:
+    """dB between two linear pictures, as sRGB in 0..255, over use (h, w)."""
+    one, two = (srgb_picture(x)[use].astype(float) for x in (a, b))
+    return float(10 * np.log10(255**2 / np.mean((one - two) ** 2)))
+
+
+def side_by_side(path: Path, made: np.ndarray, real: np.ndarray, shown: np.ndarray) -> None:
+    """The rendering on the photo, and the photo, half the size."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    both = np.hstack([srgb_picture(np.where(shown[..., None], made, real)), srgb_picture(real)])
+    path.write_bytes(encode_png(cv2.resize(both, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)))
+
+
+if __name__ == "__main__":
+    main()
