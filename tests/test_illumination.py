@@ -164,23 +164,25 @@ def test_light_between_skin() -> None:
 @pytest.mark.parametrize("lightness", [10, 40, 70, 100])
 def test_every_tone_stays_what_it_is(lightness: int) -> None:
     tone = skin_tone.tones()[lightness]
-    skin, light = skin_tone.divide(tone)
+    skin, light = skin_tone.divide(tone + skin_tone.SURFACE)
     assert np.allclose(skin, tone, rtol=0.02)
-    assert np.allclose(light, 1, rtol=0.02)
+    assert np.allclose(skin * light, tone + skin_tone.SURFACE)
 
 
 def test_dark_skin_is_not_drawn_to_light() -> None:
     dark, light = skin_tone.tones()[15], skin_tone.tones()[95]
     ratio = np.log(light.mean() / dark.mean())
-    found = np.log(skin_tone.divide(light)[0].mean() / skin_tone.divide(dark)[0].mean())
-    assert found == pytest.approx(ratio, rel=0.03)
+    found = [skin_tone.divide(tone + skin_tone.SURFACE)[0].mean() for tone in (light, dark)]
+    assert np.log(found[0] / found[1]) == pytest.approx(ratio, rel=0.03)
 
 
 def test_a_warm_lamp_is_light_and_part_of_a_strange_tint() -> None:
     tone = skin_tone.tones()[60]
-    skin, light = skin_tone.divide(tone * [1.2, 1.0, 0.8])
-    assert light[0] > light[2]
-    assert np.allclose(skin * light, tone * [1.2, 1.0, 0.8])
+    warm = (tone + skin_tone.SURFACE) * [1.2, 1.0, 0.8]
+    skin, light = skin_tone.divide(warm)
+    plain = skin_tone.divide(tone + skin_tone.SURFACE)[1]
+    assert light[0] / light[2] > 1.1 * plain[0] / plain[2]
+    assert np.allclose(skin * light, warm)
 
 
 @pytest.mark.parametrize("tone", [20, 90])
@@ -244,6 +246,26 @@ def test_highlights_over_the_lower_envelope_go() -> None:
     on = face() & (np.hypot(x - 20, y - 30) < 12)
     plain = factored(replace(glossy, low=None), field=False).albedo[on].mean()
     assert abs(factored(glossy, field=False).albedo[on].mean() / r.mean() - 1) < abs(plain / r.mean() - 1) * 0.6
+
+
+def test_cloth_is_not_skin_and_the_face_always_is() -> None:
+    h = head()
+    r = skin_tone.tones()[60]
+    neck = (h.position[..., 1] < -125) & (h.chart.part == 1)
+    fused = fused_under(LIGHT, np.where(neck[..., None], np.array([0.1, 0.2, 0.5]), r))
+    skin = factored(fused).skin
+    deep = cv2.erode(neck.astype(np.uint8), np.ones((9, 9))) > 0
+    assert skin[deep & (fused.seen > 0)].max() < 0.5
+    assert skin[face()].min() == 1
+
+
+def test_nothing_seen_is_even_light() -> None:
+    fused = fused_under(LIGHT, skin_tone.tones()[50])
+    none = replace(fused, seen=np.zeros_like(fused.seen), colour=np.zeros_like(fused.colour))
+    light = factored(none)
+    assert np.isfinite(light.albedo).all()
+    assert np.isfinite(light.shading).all()
+    assert np.allclose(light.harmonics[1:], 0)
 
 
 def test_it_repeats() -> None:

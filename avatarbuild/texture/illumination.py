@@ -225,14 +225,16 @@ def _harmonics(
     mean: np.ndarray,
     o: LightWeights,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """y (9, 3), r (3,), the light's share a (n, 3) and its direction b (n, 3), by alternation, since a
-    depends on r by the light between skin."""
+    """y (9, 3), r (3,), the light's share a (n, 3) and its direction b (n, 3), by alternation, since a depends on r by
+    the light between skin."""
     skin = template.parts["skin"].vertices
     colour, weight = _at_vertices(template, chart, matt, plain)
     weight[skin.stop :] = 0
     weight = weight * vertex_areas(neutral.vertices, template.triangles)
     r, _ = skin_tone.divide(mean)
     bent = hidden.direction()
+    if not weight.any():  # no skin was seen: even light
+        return np.eye(9)[:, :1] * np.ones(3), r, occlusion.between_skin(hidden.open, r), bent
     relative = np.ones(len(weight))
     for _ in range(3):
         a = occlusion.between_skin(hidden.open, r)

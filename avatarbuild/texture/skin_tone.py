@@ -15,6 +15,7 @@ _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 BRIGHTNESS_SD = 0.35  # of the log of the mean light on the face, whose mean is 0: the exposure
 TINT_SD = 0.10  # of the log ratios of the light's channels: what a phone's white balance leaves
+SURFACE = 0.02  # of the light: what the skin's surface reflects, white, from all sides; 0.028 straight on (n = 1.4)
 SKIN_TINT_SD = 0.10  # of the log ratios of the skin's channels about the line of tones
 
 
@@ -35,19 +36,25 @@ def tones() -> np.ndarray:
 
 def divide(mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Skin r (3,) and mean light l (3,) with r l = mean (3,), the most probable under
+    Skin r (3,) and light's factor l (3,) with r l = mean (3,), from the most probable light l' under
 
-    log l ~ N(0, brightness along luminance, tint across it),  log r = log tone(k) + N(0, tint), k uniform.
+    mean = (r + surface) l',  log l' ~ N(0, brightness along luminance, tint across it),
+    log (r + surface) = log (tone(k) + surface) + N(0, tint), k uniform.
+
+    The surface's white share, which no view is without, is little beside light skin and half of dark skin's blue: l
+    holds it, so that it does not bleach r.
 
     Every tone is as likely as any other, so that nothing draws dark skin to light: what is left of the brightness
     is that a tone outside human skin, or of another colour than its brightness has, is explained by the light.
     """
     colour = np.log(np.maximum(np.asarray(mean, np.float64), 1e-4))
-    off = colour - np.log(tones())
+    off = colour - np.log(tones() + SURFACE)
     bright = off @ _LUMINANCE
     tint = off - bright[:, None]
     light_tint = tint * TINT_SD**2 / (TINT_SD**2 + SKIN_TINT_SD**2)
     cost = (bright / BRIGHTNESS_SD) ** 2 + (tint**2).sum(axis=1) / (TINT_SD**2 + SKIN_TINT_SD**2)
     best = int(np.argmin(cost))
     light = np.exp(bright[best] + light_tint[best])
-    return np.exp(colour) / light, light
+    whole = np.exp(colour) / light
+    skin = np.maximum(whole - SURFACE, 0.3 * whole)
+    return skin, np.exp(colour) / skin
