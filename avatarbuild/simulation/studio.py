@@ -88,8 +88,8 @@ def build_studio(
     room = furnished_room(rng, texel, collar_of(subject))
     shining = room_light(rng, room.towards_window)
     if light >= 0:
-        other = np.random.default_rng([light, 9])
-        shining = room_light(other, np.array([other.choice([-1, 1]) * other.uniform(0.3, 1.0), 0.2, 0.5]))
+        lamp = np.random.default_rng([light, 9])
+        shining = room_light(lamp, np.array([lamp.choice([-1, 1]) * lamp.uniform(0.3, 1.0), 0.2, 0.5]))
     shirt = room.vertices[room.shirt], room.triangles[room.shirt[room.triangles].all(axis=1)]
     number = np.full(len(room.vertices), -1)
     number[room.shirt] = np.arange(len(shirt[0]))
