@@ -21,7 +21,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from avatarbuild.artefacts import Albedo, Cameras, Capture, Cloud, Neutral
+from avatarbuild.artefacts import Albedo, Cameras, Capture, Cloud, Neutral, Views
 from avatarbuild.formats.images import encode_png
 from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.geometry.mipmap import build_mipmap, sample_texture
@@ -35,6 +35,7 @@ from avatarbuild.texture.borders import border_pairs
 from avatarbuild.texture.chart import seam_ties
 from avatarbuild.texture.fusion import chart_at, corrected, fuse, texels_per_mm
 from avatarbuild.texture.observations import nodes_of
+from avatarbuild.texture.occlusion import of_vertices
 from avatarbuild.texture.photos import Photo, linear_picture, placed_in_head, srgb_picture
 
 LEFT_OUT, FRAMES = 6, 10
@@ -223,42 +224,67 @@ def photos(capture: Capture, cameras: Cameras, cloud: Cloud, neutral: Neutral, p
 
 
 def video(capture: Capture, neutral: Neutral, made: Albedo, pictures: Path | None) -> None:
-    """PSNR on the face in the video's most neutral frames: head placed by landmarks, nine harmonics fitted."""
+    """
+    PSNR on the face in the video's most neutral frames. The head is placed by landmarks; the light is equation (1)'s,
+    found for each frame and texture alike: harmonics under the head's own occlusion, and those with a field of waves
+    over 25 mm besides.
+    """
     assert capture.clip is not None
     template, frames = Template.load(), capture.clip.frames
     w, h = frames.size[0]
-    K = np.array([[capture.clip.focal, 0, w / 2], [0, capture.clip.focal, h / 2], [0, 0, 1]])
     marks = template.landmarks(neutral.vertices)
     rigid = np.flatnonzero(~template.landmark_sliding & (np.abs(marks[:, 1]) < 60))
-    placed = []
-    for i in range(len(frames)):
-        if not frames.presence[i] > 0.9:
-            continue
-        found, turn, shift = cv2.solvePnP(marks[rigid], frames.landmarks[i, rigid, :2].astype(float), K, None)
-        if not found:
-            continue
-        off = cv2.projectPoints(marks, turn, shift, K, None)[0][:, 0] - frames.landmarks[i, :, :2]
-        placed.append((float(np.median(np.linalg.norm(off, axis=1))), i, cv2.Rodrigues(turn)[0], shift[:, 0]))
-    placed.sort(key=lambda row: row[0])
+    tries = [capture.clip.focal * scale for scale in np.linspace(0.85, 1.2, 15)]
+    focal = min(
+        tries, key=lambda f: float(np.mean([row[0] for row in placed_frames(frames, marks, rigid, f)[:FRAMES]]))
+    )
+    placed = placed_frames(frames, marks, rigid, focal)
+    K = np.array([[focal, 0, w / 2], [0, focal, h / 2], [0, 0, 1]])
     print("PSNR on the face in video frames, light refitted:")
+    open_, bent = of_vertices(neutral.vertices, template.triangles, template.parts["skin"].vertices)
+    light = np.column_stack([open_, bent])
     means = {}
     for name in ("fused", "albedo"):
-        texture, values = linear_picture(getattr(made, name)), []
+        texture = linear_picture(getattr(made, name))
+        plain, values = [], []
         for _, i, R, t in placed[:FRAMES]:
-            picture, shown, cosine, normal = rendered(neutral, texture, K, np.zeros(5), R, t, (w, h))
+            picture, shown, cosine, around = rendered(neutral, texture, K, np.zeros(5), R, t, (w, h), light)
             real = linear_picture(frames.images[i].rgb())
             use = shown & (cosine > 0.3)
-            phi = harmonics(normal[use])
+            normal = around[use][:, 1:] / np.linalg.norm(around[use][:, 1:], axis=1, keepdims=True)
+            phi = harmonics(normal) * around[use][:, :1]
             lit = np.zeros_like(picture)
             for c in range(3):
                 A = phi * picture[use][:, c : c + 1]
                 lit[use, c] = A @ np.linalg.lstsq(A, real[use][:, c], rcond=None)[0]
+            plain.append(psnr(lit, real, use))
+            sigma = 25 / (2 * np.pi) * K[0, 0] / t[2]
+            inside = use[..., None].astype(np.float32)
+            power = cv2.GaussianBlur(picture * picture * inside, (0, 0), sigma)
+            field = cv2.GaussianBlur((real - lit) * picture * inside, (0, 0), sigma)
+            field /= power + 0.05 * power[use].mean(axis=0)
+            lit = lit + field * picture
             values.append(psnr(lit, real, use))
             if pictures is not None:
                 side_by_side(pictures / f"frame{frames.names[i]}-{name}.png", lit, real, use)
         means[name] = float(np.mean(values))
-        print(f"  {name:34s} {means[name]:5.1f} dB ({', '.join(f'{v:.1f}' for v in values)})")
+        print(f"  {name:8s} harmonics {np.mean(plain):5.1f} dB, with the field {means[name]:5.1f} dB")
+        print(f"    {', '.join(f'{v:.1f}' for v in values)}")
     print(f"  the albedo is better by {means['albedo'] - means['fused']:.1f} dB")
+
+
+def placed_frames(frames: Views, marks: np.ndarray, rigid: np.ndarray, focal: float) -> list[tuple]:
+    """(median pixels off, frame, R, t) of every frame with a face, the best first."""
+    w, h = frames.size[0]
+    K = np.array([[focal, 0, w / 2], [0, focal, h / 2], [0, 0, 1]])
+    placed = []
+    for i in np.flatnonzero(frames.presence > 0.9):
+        found, turn, shift = cv2.solvePnP(marks[rigid], frames.landmarks[i, rigid, :2].astype(float), K, None)
+        if found:
+            off = cv2.projectPoints(marks, turn, shift, K, None)[0][:, 0] - frames.landmarks[i, :, :2]
+            miss = float(np.median(np.linalg.norm(off, axis=1)))
+            placed.append((miss, int(i), cv2.Rodrigues(turn)[0], shift[:, 0]))
+    return sorted(placed, key=lambda row: row[0])
 
 
 def harmonics(n: np.ndarray) -> np.ndarray:
@@ -275,8 +301,9 @@ def rendered(
     R: np.ndarray,
     t: np.ndarray,
     size: tuple[int, int],
+    more: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The textured head: picture (h, w, 3) linear, face (h, w) without eyes and mouth, cosine, normal (h, w, 3)."""
+    """The textured head: picture (h, w, 3) linear, face (h, w) without eyes and mouth, cosine, `more` (n, c)."""
     template = Template.load()
     pixels, depth = project(neutral.vertices, K, dist, R, t)
     raster: Raster = rasterise(pixels, depth, template.triangles, size)
@@ -287,12 +314,11 @@ def rendered(
     towards = -R.T @ t - neutral.vertices
     cosine = np.einsum("ij,ij->i", normals, towards) / np.linalg.norm(towards, axis=1)
     inside = template.regions["face"] & ~template.regions["sockets"] & ~template.regions["mouth"]
-    columns = np.column_stack([inside, cosine, normals])
+    columns = np.column_stack([inside, cosine, normals if more is None else more])
     smooth = interpolate(columns, template.triangles, raster.triangle, raster.barycentric)
     face = smooth[..., 0] > 0.99
     face &= raster.triangle < template.parts["skin"].triangles.stop
-    normal = smooth[..., 2:] / np.maximum(np.linalg.norm(smooth[..., 2:], axis=2, keepdims=True), 1e-6)
-    return picture, face & (raster.triangle >= 0), smooth[..., 1], normal
+    return picture, face & (raster.triangle >= 0), smooth[..., 1], smooth[..., 2:]
 
 
 def psnr(a: np.ndarray, b: np.ndarray, use: np.ndarray) -> float:
