@@ -27,7 +27,7 @@ from avatarbuild.options import NeutralOptions
 from avatarbuild.progress import Silent
 from avatarbuild.registration.pins import LID_RIMS, LIP_BORDERS, SEAM
 from avatarbuild.sfm.metric import placed_photos
-from avatarbuild.simulation.truth import order_of
+from avatarbuild.simulation.truth import SKIN, order_of
 from avatarbuild.stages import neutral as stage
 from avatarbuild.template import Template
 
@@ -61,7 +61,13 @@ def main() -> None:
     alone(scorer, truth, cloud, made, place)
     correspondence(truth, template, made, place)
     eyes(a.truth, truth, template, made, place)
-    rims(template, capture, cameras, made)
+    rims(template, capture, cameras, made, made.vertices)
+    if same_topology(truth, template):
+        s, R, t = place
+        with np.load(a.truth / "mesh.npz") as mesh:
+            true = mesh["neutral"][order_of(template).place]
+        print("the true head's own rims against the detector:")
+        rims(template, capture, cameras, made, (true - t) @ R / s * 1000)
     if a.trials:
         trials(scorer, truth, template, capture, cameras, cloud, made)
 
@@ -101,9 +107,12 @@ def alone(scorer: ModuleType, truth: Any, cloud: Cloud, made: Neutral, place: An
 
 
 def correspondence(truth: Any, template: Template, made: Neutral, place: Any) -> None:
-    """The 68 points of the head against the truth's, mm."""
+    """The 68 points of the head against the truth's, mm; of a truth in the template's topology, the same vertices."""
     s, R, t = place
-    own = s * template.landmarks(made.vertices / 1000)[template.landmarks68] @ R.T + t
+    points = template.landmarks(made.vertices)[template.landmarks68]
+    if same_topology(truth, template):
+        points = made.vertices[order_of(template).vertex[truth.lm]]
+    own = s * points / 1000 @ R.T + t
     off = np.linalg.norm(own - truth.V[truth.lm], axis=1)
     print(
         f"corresponding points: inner without brows {off[27:].mean():.2f} mm (nose {off[27:36].mean():.2f}, "
@@ -149,12 +158,17 @@ def sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
     return centre, radius
 
 
-def rims(template: Template, capture: Capture, cameras: Cameras, made: Neutral) -> None:
-    """Detected points of lids and lips against the head's rims in the most frontal photos, pixels at 2 megapixels."""
+def same_topology(truth: Any, template: Template) -> bool:
+    """Whether the truth was made of this template; of an older one with other landmarks its order would mislead."""
+    return len(truth.true[0]) == SKIN and np.array_equal(order_of(template).landmarks68, truth.lm)
+
+
+def rims(template: Template, capture: Capture, cameras: Cameras, made: Neutral, vertices: np.ndarray) -> None:
+    """Detected points of lids and lips against a head's rims in the most frontal photos, pixels at 2 megapixels."""
     photos = capture.photos
     placed = placed_photos(cameras.model, [f"{name}.jpg" for name in photos.names])
     back = np.linalg.inv(made.head_from_cloud)
-    world = made.vertices @ back[:3, :3].T + back[:3, 3]
+    world = vertices @ back[:3, :3].T + back[:3, 3]
     frontal = np.argsort(np.abs(photos.pose[placed.index, 0]), kind="stable")[:PHOTOS]
     everything = []
     for name, group in (("lids", LID_RIMS), ("lips' border", LIP_BORDERS), ("lips' seam", SEAM)):
