@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -26,9 +27,10 @@ from avatarbuild.simulation.light import harmonic_basis, occlusion, room_light
 from avatarbuild.simulation.skin import paint, random_person
 from avatarbuild.simulation.subject import random_subject
 from avatarbuild.template import Template
-from avatarbuild.texture import illumination
+from avatarbuild.texture import completion, illumination
 from avatarbuild.texture.chart import Chart, draw_chart
 from avatarbuild.texture.fused import Fused
+from avatarbuild.texture.template_skin import skin_texture
 
 SIZE = 512
 HIDDEN = ("lids", "mouth", "sockets")
@@ -122,7 +124,7 @@ def fused_of(project: Path, size: int) -> tuple[Fused, Neutral]:
 
 
 def pictures(project: Path, folder: Path, size: int) -> None:
-    """The two pictures of docs/illumination.md."""
+    """The pictures of docs/illumination.md."""
     template = Template.load()
     fused, neutral = fused_of(project, size)
     cut = np.s_[int(0.12 * size) : int(0.86 * size), int(0.12 * size) : int(0.88 * size)]
@@ -143,6 +145,32 @@ def pictures(project: Path, folder: Path, size: int) -> None:
         o = illumination.LightWeights(field_length=length, even_length=length)
         row.append(tile(illumination.factor(fused, template, neutral, o).albedo))
     _write(folder / "illumination-smoothness.jpg", np.hstack(row))
+    _cheek(fused, both, template, folder, tile)
+
+
+def _cheek(fused: Fused, light: illumination.Light, template: Template, folder: Path, tile: Callable) -> None:
+    """One cheek taken away and completed; and the figure of what stands at its border."""
+    size = len(fused.seen)
+    centre = fused.position[_texel(template, 280, size)]
+    away = np.linalg.norm(fused.position - centre, axis=-1)
+    gone = fused.seen * ((away > 28) | (fused.part != 1))
+    texture = skin_texture(template, size)
+    whole = completion.complete(light.albedo, gone, template, texture)
+    truth = completion.complete(light.albedo, fused.seen, template, texture)
+    _write(folder / "completion-cheek.jpg", np.hstack([tile(truth), tile(truth * (gone > 0)[..., None]), tile(whole)]))
+    on = (fused.part == 1) & (fused.seen > 0.3)
+    for name, image in (("photos", truth), ("completed", whole)):
+        log = np.log(np.maximum(image.mean(axis=-1), 0.004))
+        fine = log - cv2.GaussianBlur(log, (0, 0), 1.6 * completion.texels_per_mm(template) * size)
+        ring = [log[on & (away > a) & (away <= a + 6)].mean() for a in (22, 28, 34)]
+        pores = fine[on & (away < 20)].std()
+        print(f"  {name:10s} steps across the border {np.diff(ring).round(3)}, pores (log) {pores:.3f}")
+
+
+def _texel(template: Template, landmark: int, size: int) -> tuple[int, int]:
+    triangle = template.uv_triangles[template.landmark_triangles[landmark]]
+    u, v = template.landmark_barycentric[landmark] @ template.uv[triangle]
+    return int((1 - v) * size), int(u * size)
 
 
 def _write(path: Path, image: np.ndarray) -> None:

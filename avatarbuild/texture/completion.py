@@ -27,6 +27,8 @@ _SEEN_LOW, _SEEN_HIGH = 0.25, 0.5  # of `seen`: nothing below, all above
 _SOFT = 5.0  # mm over which what was seen passes into what was not, inside what was seen
 _REACH = 90.0  # mm beyond which the colour goes back to the person's typical one
 _HELD = 30.0  # weight of a texel of u's grid that was seen
+_STRANGE = 0.003  # of that weight have brows, lids and lips
+_CONTRAST = 1.2  # log: the offset differs from its typical value by no more
 _FINE = 1.6  # mm: standard deviation of the blur that what is finer is cut off by
 _PIECE = 22.0  # mm: side of the pieces of skin that are laid out
 _SEED = 17
@@ -103,12 +105,18 @@ def _offset(
     small = draw_chart(template, template.uv, template.uv_triangles, g)
     mask = small.part == 1
     held = cv2.resize(weight, (g, g), interpolation=cv2.INTER_AREA) * mask
+    # lashes, brows and lips say little of the colour of the skin beside them
+    other = np.zeros(len(template.mean), np.float32)
+    for name in ("lids", "brows", "lips", "mouth", "sockets"):
+        other[template.regions[name]] = 1
+    trust = 1 - (1 - _STRANGE) * np.clip(1.5 * small.field(other, template.triangles), 0, 1)
     difference = np.empty((g, g, 3))
     for c in range(3):
         log = np.log(np.maximum(albedo[..., c], _LEAST)) - np.log(np.maximum(texture[..., c], _LEAST))
         mean = cv2.resize((log * weight).astype(np.float32), (g, g), interpolation=cv2.INTER_AREA)
         difference[..., c] = mean / np.maximum(held, 1e-6)
-    typical = np.median(difference[held > 0.5], axis=0) if (held > 0.5).any() else np.zeros(3)
+    plain = (held > 0.5) & (trust > 0.5)
+    typical = np.median(difference[plain], axis=0) if plain.any() else np.zeros(3)
     n = int(mask.sum())
     number = np.full((g, g), -1)
     number[mask] = np.arange(n)
@@ -124,7 +132,8 @@ def _offset(
     ).tocsr()
     laplacian = sp.diags(np.asarray(graph.sum(axis=1)).ravel()) - graph
     pull = 1 / (_REACH * scale * g / size) ** 2
-    w = _HELD * held[mask]
+    difference = np.clip(difference, typical - _CONTRAST, typical + _CONTRAST)
+    w = (_HELD * held * trust)[mask]
     matrix = (laplacian + sp.diags(w + pull)).tocsc()
     right = w[:, None] * np.where(held[mask][:, None] > 0, difference[mask], 0) + pull * typical
     u = np.zeros((g, g, 3), np.float32)
