@@ -20,6 +20,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 
 from avatarbuild.geometry.meshes import adjacency, vertex_areas
 from avatarbuild.geometry.meshes import edges as mesh_edges
@@ -42,6 +44,8 @@ _ROUNDS_NEAR_WIDE = (2, 10)  # steps of averaging: a photo's colour over a milli
 _COMMON = (0.15, 0.75)  # quantiles between which the photos' colours make their common one
 _LOW = (0.1, 0.3)  # and the one that stands for skin without highlights
 _ROUNDS = 30
+_DOUBTED = 0.25  # share of strange colours from which a place is no skin
+_LEAST_PIECE = 400.0  # mm^2
 _CHIN = -70.0  # mm below the eyes from which what is not face may be cloth
 _LEAST_SPREAD, _FAR = 0.06, 4.0  # of the face's log chroma; how many spreads off a colour is no longer skin
 
@@ -83,7 +87,7 @@ def choice(nodes: Nodes, seen: Observations, photos: list[Photo], still: np.ndar
     grey = lambda c: np.log(np.maximum(c.mean(axis=-1), 1e-3))  # noqa: E731
     excess = np.where(shown, grey(local) - grey(common), 0)
     score = scores(seen, photos, nodes, excess, sharpness, still)
-    score *= like_skin(near[0], common, nodes) * like_skin(local, common, nodes)
+    score *= like_skin(*near, common, nodes) * like_skin(*wide, common, nodes)
     area = vertex_areas(nodes.position, nodes.triangles)
     pairs, _ = mesh_edges(nodes.triangles)
     span = np.linalg.norm(nodes.position[pairs[:, 0]] - nodes.position[pairs[:, 1]], axis=1)
@@ -92,7 +96,7 @@ def choice(nodes: Nodes, seen: Observations, photos: list[Photo], still: np.ndar
     length *= 1 + 3 * nodes.front[pairs].min(axis=1)
     use = few(score, area, MOST_PHOTOS, _LEAST_GAIN)
     label = choose(score[use], pairs, length, _ROUNDS)
-    label = np.where(label >= 0, use[label], -1).astype(np.int16)
+    label = np.where((label >= 0) & held_together(label >= 0, pairs, area, nodes), use[label], -1).astype(np.int16)
     at = np.maximum(label, 0), np.arange(len(label))
     quality = np.where(label >= 0, seen.cosine[at] * np.minimum(sharpness[at[0]], 1), 0)
     return Choice(gains, label, quality, offset, low, sharpness, disagreement)
@@ -103,7 +107,17 @@ def common_offset(local: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return trimmed(local, weight, *_COMMON) - local
 
 
-def like_skin(local: np.ndarray, common: np.ndarray, nodes: Nodes) -> np.ndarray:
+def held_together(labelled: np.ndarray, pairs: np.ndarray, area: np.ndarray, nodes: Nodes) -> np.ndarray:
+    """(n,) bool: pieces of the labelled surface that hold some of the face or are no smaller than an ear."""
+    one = pairs[labelled[pairs].all(axis=1)]
+    n = len(labelled)
+    count, piece = connected_components(sp.coo_matrix((np.ones(len(one)), one.T), shape=(n, n)), directed=False)
+    size = np.bincount(piece, area, count)
+    size += np.where(np.bincount(piece, nodes.face & labelled, count) > 0, np.inf, 0)
+    return size[piece] >= _LEAST_PIECE
+
+
+def like_skin(local: np.ndarray, weight: np.ndarray, common: np.ndarray, nodes: Nodes) -> np.ndarray:
     """
     (p, n) float32, 1 where a photo's colour may be this person's skin, 0 where it is cloth: judged below the chin.
 
@@ -125,7 +139,9 @@ def like_skin(local: np.ndarray, common: np.ndarray, nodes: Nodes) -> np.ndarray
     off = chroma(judged) - light(judged) @ line
     far = np.sqrt(np.einsum("pni,ij,pnj->pn", off, scatter, off))
     cloth = np.zeros(local.shape[:2], np.float32)
-    cloth[:, below] = far >= _FAR
+    strange = far >= _FAR
+    share = (weight[:, below] * strange).sum(axis=0) / np.maximum(weight[:, below].sum(axis=0), 1e-9)
+    cloth[:, below] = strange | (share > _DOUBTED)
     ring = adjacency(len(nodes.position), nodes.triangles)
     return (cloth + (ring @ cloth.T).T == 0).astype(np.float32)
 
