@@ -56,7 +56,7 @@ class SimulationOptions:
         0.0, "weight", "Size of the expression that comes and goes over the photos.", least=0
     )
     second_person: bool = option(False, "yes or no", "Somebody else sits behind the subject.")
-    light: int = option(-1, "number", "Another light for the same person, room and photos; -1: the seed's own.", least=-1)
+    light: int = option(-1, "number", "Another light, all else the same; -1: the seed's own.", least=-1)
 
 
 @dataclass(frozen=True)
