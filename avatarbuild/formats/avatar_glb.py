@@ -159,7 +159,9 @@ def write(
             attributes["TEXCOORD_0"] = writer.attribute(np.stack([split.uv[:, 0], 1 - split.uv[:, 1]], axis=1))
         if part == "skin" and pictures.normal is not None:
             # the map was made in these tangents; without them a viewer guesses, and the validator warns
-            turned = vertex_tangents(rig.neutral[v][split.sources], normals[v][split.sources], split.uv, split.triangles)
+            turned = vertex_tangents(
+                rig.neutral[v][split.sources], normals[v][split.sources], split.uv, split.triangles
+            )
             attributes["TANGENT"] = writer.attribute(turned)
         primitive: dict[str, Any] = {
             "attributes": attributes,
