@@ -47,7 +47,7 @@ _ROUNDS = 30
 _DOUBTED = 0.25  # share of strange colours from which a place is no skin
 _LEAST_PIECE = 400.0  # mm^2
 _CHIN = -70.0  # mm below the eyes from which what is not face may be cloth
-_LEAST_SPREAD, _FAR = 0.06, 4.0  # of the face's log chroma; how many spreads off a colour is no longer skin
+_LEAST_SPREAD, _FAR = 0.06, 3.5  # of the face's log chroma; how many spreads off a colour is no longer skin
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ def like_skin(local: np.ndarray, weight: np.ndarray, common: np.ndarray, nodes: 
     share = (weight[:, below] * strange).sum(axis=0) / np.maximum(weight[:, below].sum(axis=0), 1e-9)
     cloth[:, below] = strange | (share > _DOUBTED)
     ring = adjacency(len(nodes.position), nodes.triangles)
-    return (cloth + (ring @ cloth.T).T == 0).astype(np.float32)
+    return (ring @ (ring @ cloth.T) + cloth.T == 0).T.astype(np.float32)
 
 
 def fuse(
