@@ -121,6 +121,7 @@ class AlbedoOptions:
 class AvatarOptions:
     """avatar.glb and avatar.json."""
 
+    albedo_quality: int = option(92, "1-100", "JPEG quality of the albedo inside avatar.glb.", least=50)
     least_motion: float = option(0.004, "mm", "Smaller displacements of a vertex in a shape are left out.", least=0.0)
     least_turn: float = option(0.2, "degrees", "Smaller turns of a vertex's normal in a shape are left out.", least=0.0)
 

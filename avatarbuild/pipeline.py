@@ -52,6 +52,14 @@ STAGES = (
         "the person's head: model, thin shell, eyes, teeth",
     ),
     Stage(
+        "albedo",
+        ("capture", "cameras", "points", "neutral"),
+        artefacts.Albedo,
+        options.AlbedoOptions,
+        1,
+        "the skin's colour without the light",
+    ),
+    Stage(
         "blendshapes",
         ("neutral",),
         artefacts.Blendshapes,
@@ -61,7 +69,7 @@ STAGES = (
     ),
     Stage(
         "avatar",
-        ("capture", "cameras", "points", "neutral", "blendshapes"),
+        ("capture", "cameras", "points", "neutral", "albedo", "blendshapes"),
         artefacts.Avatar,
         options.AvatarOptions,
         1,
@@ -69,7 +77,7 @@ STAGES = (
         reports=True,
     ),
 )
-HEAD_STAGES = ("neutral", "blendshapes", "avatar")  # those that make no sense without a face
+HEAD_STAGES = ("neutral", "albedo", "blendshapes", "avatar")  # those that make no sense without a face
 NAMES = [stage.name for stage in STAGES]
 
 

@@ -18,10 +18,10 @@ import synthetic
 import validator
 
 from avatarbuild import __version__
-from avatarbuild.artefacts import Avatar, Blendshapes, Cameras, Capture, Clip, Cloud, Neutral, Views
+from avatarbuild.artefacts import Albedo, Avatar, Blendshapes, Cameras, Capture, Clip, Cloud, Neutral, Views
 from avatarbuild.formats import avatar_glb
 from avatarbuild.formats.gltf import Gltf, read_glb
-from avatarbuild.formats.images import encode_jpeg, encode_png
+from avatarbuild.formats.images import decode_png, encode_jpeg, encode_png
 from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.options import AvatarOptions
 from avatarbuild.progress import Silent
@@ -60,7 +60,7 @@ def views(count: int, folder: str) -> Views:
 
 
 @cache
-def person() -> tuple[Capture, Cameras, Cloud, Neutral, Blendshapes]:
+def person() -> tuple[Capture, Cameras, Cloud, Neutral, Albedo, Blendshapes]:
     """Artefacts of a random head, with a cloud of one colour that lies in another frame; a clip was filmed."""
     template = synthetic.template()
     subject = random_subject(template, np.random.default_rng(5))
@@ -92,7 +92,12 @@ def person() -> tuple[Capture, Cameras, Cloud, Neutral, Blendshapes]:
     clip = Clip("video/MOV_0001.mp4", (100, 200), 30.0, np.arange(3) / 30, 100.0, np.arange(1), views(1, "video"))
     capture = Capture(views(3, "photos"), clip, 1, np.ones(3, bool), True, warnings=["light: uneven"])
     cameras = Cameras(pycolmap.Reconstruction(), True, {"source": "iris", "relative_sd": 0.043, "iris_mm": 11.7})
-    return capture, cameras, cloud, neutral, shapes
+    plain = np.tile(SKIN, (64, 64, 1))
+    level = np.full((32, 32, 3), (128, 128, 255), np.uint8)
+    open_ = np.full((32, 32), 255, np.uint8)
+    seen = np.full((64, 64), 90, np.uint8)
+    albedo = Albedo(plain, plain, plain, seen, level, open_, np.zeros((9, 3)), np.full(3, 0.4), np.ones((3, 3)))
+    return capture, cameras, cloud, neutral, albedo, shapes
 
 
 @cache
@@ -139,7 +144,7 @@ def test_validator(pictures: bool) -> None:
     flat = np.full((8, 8, 3), 128, np.uint8)
     level = np.full((8, 8, 3), (128, 128, 255), np.uint8)
     maps = avatar_glb.Pictures(encode_png(flat), encode_jpeg(flat, 90), encode_png(level), encode_png(flat + 1))
-    made = avatar_glb.write(synthetic.template(), rig, maps, None, {})
+    made = avatar_glb.write(synthetic.template(), rig, maps, {})
     assert validator.issues(made.glb, worst=2) == []
     tree = read_glb(made.glb).tree
     skin = tree["materials"][primitive(read_glb(made.glb), "head")["material"]]
@@ -190,7 +195,7 @@ def test_52_targets_in_one_order(mesh: str) -> None:
     assert [set(t) for t in primitive(gltf, mesh)["targets"]] == [{"POSITION", "NORMAL"}] * 52
     accessors = [gltf.tree["accessors"][i] for t in primitive(gltf, mesh)["targets"] for i in t.values()]
     assert all("sparse" in accessor and "bufferView" not in accessor for accessor in accessors)
-    assert "TANGENT" not in primitive(gltf, mesh)["attributes"]
+    assert ("TANGENT" in primitive(gltf, mesh)["attributes"]) == (mesh == "head")
 
 
 @pytest.mark.parametrize("mesh", MORPHED)
@@ -331,21 +336,19 @@ def test_both_eyes_wear_the_whole_eye_texture() -> None:
     assert gltf.view(image["bufferView"]) == encode_png(person()[3].eye_texture)
 
 
-def test_skin_has_the_cloud_s_colour_and_not_the_lips() -> None:
+def test_skin_wears_the_albedo() -> None:
     gltf = glb()
-    skin = gltf.tree["materials"][primitive(gltf, "head")["material"]]["pbrMetallicRoughness"]
-    expected = ((SKIN / 255 + 0.055) / 1.055) ** 2.4
-    np.testing.assert_allclose(skin["baseColorFactor"], [*expected, 1], atol=1e-5)
-    assert skin["metallicFactor"] == 0
-    assert 0.4 <= skin["roughnessFactor"] <= 0.6
-
-
-def test_a_cloud_without_a_face_is_told() -> None:
-    capture, cameras, cloud, neutral, shapes = person()
-    far = dataclasses.replace(cloud, points=cloud.points + 500)
-    made = avatar.run(capture, cameras, far, neutral, shapes, OPTIONS, Silent())
-    assert len(made.warnings) == 1
-    assert validator.issues(made.files["avatar.glb"]) == []
+    skin = gltf.tree["materials"][primitive(gltf, "head")["material"]]
+    surface = skin["pbrMetallicRoughness"]
+    assert surface["metallicFactor"] == 0
+    assert 0.4 <= surface["roughnessFactor"] <= 0.6
+    albedo = person()[4]
+    image = gltf.tree["images"][gltf.tree["textures"][surface["baseColorTexture"]["index"]]["source"]]
+    assert gltf.view(image["bufferView"]) == encode_jpeg(albedo.albedo, OPTIONS.albedo_quality)
+    assert {"normalTexture", "occlusionTexture"} <= set(skin)
+    files = built().files
+    assert np.array_equal(decode_png(files["albedo.png"]), albedo.albedo)
+    assert np.array_equal(decode_png(files["coverage.png"]), albedo.coverage)
 
 
 def test_extras_say_scale_and_limits() -> None:
@@ -389,7 +392,7 @@ def test_photos_alone_give_a_whole_avatar() -> None:
 
 def test_saved_and_loaded(tmp_path: Path) -> None:
     built().save(tmp_path / "avatar")
-    assert sorted(path.name for path in (tmp_path / "avatar").iterdir()) == ["avatar.glb", "avatar.json"]
+    assert sorted(path.name for path in (tmp_path / "avatar").iterdir()) == sorted(built().files)
     assert Avatar.load(tmp_path / "avatar").files == built().files
 
 

@@ -125,15 +125,10 @@ def linear(colour: np.ndarray) -> np.ndarray:
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
 
 
-def write(
-    template: Template, rig: Rig, pictures: Pictures, skin_colour: np.ndarray | None, extras: dict[str, Any]
-) -> Made:
-    """
-    avatar.glb of a rig in the template's topology. `skin_colour` (3,) sRGB in 0..1 stands where there is no albedo;
-    `extras` are added to the file's own.
-    """
+def write(template: Template, rig: Rig, pictures: Pictures, extras: dict[str, Any]) -> Made:
+    """avatar.glb of a rig in the template's topology; `extras` are added to the file's own."""
     writer = Writer(f"avatarbuild {__version__}")
-    materials = _materials(writer, template, pictures, skin_colour)
+    materials = _materials(writer, template, pictures)
     normals, turns = _normals(template, rig)
     nodes: dict[str, int] = {}
     sizes: dict[str, tuple[int, int]] = {}
@@ -254,9 +249,7 @@ def _targets(
     return targets, still, left_out
 
 
-def _materials(
-    writer: Writer, template: Template, pictures: Pictures, skin_colour: np.ndarray | None
-) -> dict[str, int]:
+def _materials(writer: Writer, template: Template, pictures: Pictures) -> dict[str, int]:
     """Part -> material. With an albedo, all parts but the eyes take their colour from it."""
     albedo = None if pictures.albedo is None else writer.texture(pictures.albedo, "albedo")
     eye = None if pictures.eye is None else writer.texture(pictures.eye, "eye")
@@ -270,8 +263,7 @@ def _materials(
             if texture is not None:
                 surface["baseColorTexture"] = {"index": texture}
             else:
-                colour = look.colour if part != "skin" or skin_colour is None else skin_colour
-                surface["baseColorFactor"] = [*np.round(linear(np.asarray(colour)), 6).tolist(), 1.0]
+                surface["baseColorFactor"] = [*np.round(linear(np.asarray(look.colour)), 6).tolist(), 1.0]
             material: dict[str, Any] = {"name": look.name, "pbrMetallicRoughness": surface}
             if part == "skin" and pictures.normal is not None:
                 material["normalTexture"] = {"index": writer.texture(pictures.normal, "normal")}

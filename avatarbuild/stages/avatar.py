@@ -9,20 +9,17 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from avatarbuild import __version__
-from avatarbuild.artefacts import Avatar, Blendshapes, Cameras, Capture, Cloud, Neutral
+from avatarbuild.artefacts import Albedo, Avatar, Blendshapes, Cameras, Capture, Cloud, Neutral
 from avatarbuild.formats import avatar_glb
-from avatarbuild.formats.images import encode_png
+from avatarbuild.formats.images import encode_jpeg, encode_png
 from avatarbuild.options import AvatarOptions
 from avatarbuild.progress import Progress
 from avatarbuild.report.page import page
 from avatarbuild.template import Template
 
 AVATAR_VERSION = 1
-NEAR = 2.0  # mm: points of the cloud this near a vertex of the face show its colour
-LEAST_COLOURS = 100  # points, below which no colour of the skin is told
 
 
 def run(
@@ -30,6 +27,7 @@ def run(
     cameras: Cameras,
     points: Cloud,
     neutral: Neutral,
+    albedo: Albedo,
     blendshapes: Blendshapes,
     options: AvatarOptions,
     progress: Progress,
@@ -37,28 +35,34 @@ def run(
 ) -> Avatar:
     """The files of the avatar folder; each is complete on its own. `stamps`: what the stages before left behind."""
     template = Template.load()
-    warnings: list[str] = []
-    colour = skin_colour(template, neutral, points)
-    if colour is None:
-        warnings.append("skin colour: the cloud shows too little of the face to tell; avatar.glb has a general one")
     rig = avatar_glb.Rig(
         blendshapes.neutral, blendshapes.deltas, blendshapes.eye_centres, options.least_motion, options.least_turn
     )
     with progress.task("avatar.glb", 1) as task:
-        pictures = avatar_glb.Pictures(eye=encode_png(neutral.eye_texture))
+        pictures = avatar_glb.Pictures(
+            eye=encode_png(neutral.eye_texture),
+            albedo=encode_jpeg(albedo.albedo, options.albedo_quality),
+            normal=encode_png(albedo.normal),
+            occlusion=encode_png(albedo.occlusion),
+        )
         scale = {key: value for key, value in plain(cameras.scale).items() if not isinstance(value, list | dict)}
-        made = avatar_glb.write(template, rig, pictures, colour, {"scale": scale})
+        made = avatar_glb.write(template, rig, pictures, {"scale": scale})
         task.advance()
     stages = {
         "capture": capture,
         "cameras": cameras,
         "points": points,
         "neutral": neutral,
+        "albedo": albedo,
         "blendshapes": blendshapes,
     }
-    about = provenance(template, capture, cameras, blendshapes, made, stages)
     files = {
         "avatar.glb": made.glb,
+        "albedo.png": encode_png(albedo.albedo),
+        "coverage.png": encode_png(albedo.coverage),
+    }
+    about = provenance(template, capture, cameras, blendshapes, made, stages, files)
+    files |= {
         "avatar.json": (json.dumps(about, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode(),
     }
     with progress.task("report.html", 1) as task:
@@ -70,21 +74,7 @@ def run(
         "head_vertices": made.sizes["head"][0],
         "left_out_mm": round(made.left_out, 4),
     }
-    return Avatar(files, figures, warnings)
-
-
-def skin_colour(template: Template, neutral: Neutral, points: Cloud) -> np.ndarray | None:
-    """(3,) sRGB in 0..1: the median colour of the cloud on the face without lips, lids and brows; None: too little."""
-    regions = template.regions
-    features = regions["lips"] | regions["lids"] | regions["brows"] | regions["sockets"] | regions["mouth"]
-    face = neutral.vertices[regions["face"] & ~features]
-    place = neutral.head_from_cloud
-    cloud = points.points.astype(np.float64) @ place[:3, :3].T + place[:3, 3]
-    distance, nearest = cKDTree(cloud).query(face, distance_upper_bound=NEAR)
-    seen = nearest[np.isfinite(distance)]
-    if len(seen) < LEAST_COLOURS:
-        return None
-    return np.median(points.colours[seen], axis=0) / 255
+    return Avatar(files, figures)
 
 
 def provenance(
@@ -94,6 +84,7 @@ def provenance(
     blendshapes: Blendshapes,
     made: avatar_glb.Made,
     stages: dict[str, Any],
+    files: dict[str, bytes],
 ) -> dict[str, Any]:
     """What avatar.json says; docs/schemas/avatar.schema.json. No dates and no seconds: equal runs, equal bytes."""
     anywhere = [
@@ -118,7 +109,9 @@ def provenance(
         "shapes": {name: {"largest_mm": size} for name, size in zip(template.expression_names, largest, strict=True)},
         "no_effect": {"anywhere": anywhere, "meshes": made.without_effect},
         "meshes": {name: {"vertices": v, "triangles": m} for name, (v, m) in made.sizes.items()},
-        "files": {"avatar.glb": {"bytes": len(made.glb), "sha256": hashlib.sha256(made.glb).hexdigest()}},
+        "files": {
+            name: {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()} for name, data in files.items()
+        },
         "figures": {name: plain(artefact.figures) for name, artefact in stages.items()},
         "warnings": {name: list(artefact.warnings) for name, artefact in stages.items()},
     }
