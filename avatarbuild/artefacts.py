@@ -11,7 +11,6 @@ import numpy as np
 
 from avatarbuild.formats import ply
 from avatarbuild.formats.images import decode_jpeg, decode_png, encode_png
-from avatarbuild.template import Template
 
 if TYPE_CHECKING:
     import pycolmap
@@ -259,7 +258,7 @@ class Neutral:
     The person's neutral head in the template's topology (n vertices of all parts), millimetres, in the head frame:
     x to the subject's left, y up, z out of the face, origin midway between the eyeballs' centres.
 
-    vertices         (n, 3)
+    vertices         (n, 3); triangles (m, 3) int32
     coefficients     (p,) of the morphable model's fit, in standard deviations
     model            (n, 3) the morphable model alone, before the thin shell
     eye_centres      (2, 3) of the left and right eyeball;  eye_radius (2,) mm
@@ -270,6 +269,7 @@ class Neutral:
     """
 
     vertices: np.ndarray
+    triangles: np.ndarray
     coefficients: np.ndarray
     model: np.ndarray
     eye_centres: np.ndarray
@@ -290,14 +290,14 @@ class Neutral:
         folder.mkdir(parents=True, exist_ok=True)
         with (folder / "neutral.npz").open("wb") as f:
             np.savez(f, **{name: getattr(self, name) for name in _NEUTRAL_ARRAYS})
-        triangles = Template.load().triangles
-        (folder / "neutral.ply").write_bytes(ply.mesh_bytes(self.vertices, triangles))
+        (folder / "neutral.ply").write_bytes(ply.mesh_bytes(self.vertices, self.triangles))
         (folder / "eye.png").write_bytes(encode_png(self.eye_texture))
 
     @staticmethod
     def load(folder: Path) -> Neutral:
         with np.load(folder / "neutral.npz") as arrays:
             values = {name: arrays[name] for name in _NEUTRAL_ARRAYS}
+        values["triangles"] = ply.mesh_triangles((folder / "neutral.ply").read_bytes())
         return Neutral(**values, eye_texture=decode_png((folder / "eye.png").read_bytes()))
 
 

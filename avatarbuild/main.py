@@ -23,6 +23,7 @@ from avatarbuild import options as all_options
 from avatarbuild.errors import InputError
 from avatarbuild.progress import Task
 from avatarbuild.project import Project, default_project, digest_files
+from avatarbuild.template_files import SHIPPED, resolve
 
 DONE, FAULT, BAD_INPUT, STOPPED = 0, 1, 2, 130
 JSON_VERSION = 1
@@ -35,6 +36,9 @@ CapturePath = Annotated[Path, typer.Argument(metavar="CAPTURE", help="Folder wit
 templates = typer.Typer(no_args_is_help=True, help="The shipped head, and heads imported from files that you have.")
 app.add_typer(templates, name="template")
 
+TemplateName = Annotated[
+    str | None, typer.Option("--template", help="Head template: 'head', the shipped one, or an imported .npz.")
+]
 ProjectPath = Annotated[Path, typer.Argument(metavar="PROJECT", help="Project folder of an earlier run.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for machines.")]
 
@@ -124,6 +128,7 @@ def run(
         list[str] | None, typer.Option("--set", help="stage.option=value; kept in the project; 'default' undoes.")
     ] = None,
     quality: Annotated[str | None, typer.Option(help="draft, standard or high; kept in the project.")] = None,
+    template: TemplateName = None,
     as_json: Json = False,
 ) -> None:
     """Build the avatar of a capture; go on where the project left off."""
@@ -131,6 +136,7 @@ def run(
 
     what = pipeline.plan(first, until, only, force)
     changes = _settings(pairs or [])
+    named = None if template is None else resolve(template)
     found = open_capture(capture)
     project = Project(output if output is not None else default_project(capture))
     with project.lock(), _log_into(project.log_file), _native_chatter_into(project.log_file):
@@ -140,7 +146,8 @@ def run(
         settings = {**kept.get("options", {}), **changes}
         settings = {key: value for key, value in settings.items() if value != "default"}
         chosen = all_options.stage_options(quality, settings)
-        project.write_settings(capture, quality, settings)
+        head = named or project.template()
+        project.write_settings(capture, head, quality, settings)
         project.require_space(int(2.0 * sum((found.root / photo).stat().st_size for photo in found.photos) + 5e8))
         ran: list[dict[str, Any]] = []
 
@@ -156,7 +163,7 @@ def run(
         digest = digest_files(found.root, [found.root / name for name in found.files])
         error = None
         try:
-            pipeline.run(project, capture, digest, chosen, what, Bars(), tell)
+            pipeline.run(project, capture, digest, head, chosen, what, Bars(), tell)
         except InputError as caught:
             error = caught
             log.error("%s", caught)
@@ -195,13 +202,13 @@ def status(project_folder: ProjectPath, as_json: Json = False) -> None:
     project = _existing(project_folder)
     kept = project.settings()
     chosen = all_options.stage_options(kept.get("quality", "standard"), kept.get("options", {}))
-    digest = ""
-    try:
+    digest = template = ""
+    with _warned():
+        template = project.template().digest
+    with _warned():
         found = open_capture(project.root / kept.get("capture", ""))
         digest = digest_files(found.root, [found.root / name for name in found.files])
-    except InputError as error:
-        screen.print(f"[yellow]warning[/] {rich.markup.escape(str(error))}")
-    lines = pipeline.states(project, pipeline.keys(digest, chosen))
+    lines = pipeline.states(project, pipeline.keys(digest, template, chosen))
     if as_json:
         answer = {"version": JSON_VERSION, "project": str(project.root), "stages": [_line_json(line) for line in lines]}
         typer.echo(json.dumps(answer, indent=1, ensure_ascii=False))
@@ -211,6 +218,14 @@ def status(project_folder: ProjectPath, as_json: Json = False) -> None:
         seconds = "" if line.seconds is None else f"{line.seconds:.0f}"
         table.add_row(line.name, line.state, seconds, _figures(line))
     rich.console.Console().print(table)
+
+
+@contextlib.contextmanager
+def _warned() -> Iterator[None]:
+    try:
+        yield
+    except InputError as error:
+        screen.print(f"[yellow]warning[/] {rich.markup.escape(str(error))}")
 
 
 @app.command()
@@ -278,6 +293,7 @@ def simulate(
     seed: Annotated[int, typer.Option(help="Another number, another person.")] = 0,
     truth: Annotated[Path | None, typer.Option(help="Folder for the ground truth; default CAPTURE.truth.")] = None,
     pairs: Annotated[list[str] | None, typer.Option("--set", help="option=value, like photos=12.")] = None,
+    template: TemplateName = None,
 ) -> None:
     """Render a capture from the head template, with its ground truth."""
     from avatarbuild.simulation import capture as simulation
@@ -287,7 +303,8 @@ def simulate(
         name, _, text = pair.partition("=")
         chosen[name.strip()] = all_options.parse_field(simulation.SimulationOptions, name.strip(), text.strip())
     options_ = simulation.SimulationOptions(**chosen)
-    place = simulation.simulate(output, seed, options_, truth_folder=truth, progress=Bars())
+    head = resolve(template or SHIPPED).load()
+    place = simulation.simulate(output, seed, options_, truth_folder=truth, template=head, progress=Bars())
     screen.print(f"capture: {output}, truth: {place}")
 
 

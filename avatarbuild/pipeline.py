@@ -18,7 +18,7 @@ from avatarbuild import __version__, artefacts, options
 from avatarbuild.errors import InputError
 from avatarbuild.progress import Progress
 from avatarbuild.project import Project
-from avatarbuild.template import template_folder
+from avatarbuild.template_files import TemplateFile
 
 log = logging.getLogger(__name__)
 
@@ -26,8 +26,8 @@ log = logging.getLogger(__name__)
 @dataclass(frozen=True)
 class Stage:
     """
-    A row: `avatarbuild.stages.<name>.run(*needs, options, progress)` makes the artefact; a stage that `reports` is
-    given the stamps of the stages before it as well, as `stamps`.
+    A row: `avatarbuild.stages.<name>.run(*needs, options, progress)` makes the artefact. HEAD_STAGES are given the
+    project's head template as well, as `template`; a stage that `reports`, the stamps of the others, as `stamps`.
     """
 
     name: str
@@ -77,7 +77,7 @@ STAGES = (
         reports=True,
     ),
 )
-HEAD_STAGES = ("neutral", "albedo", "blendshapes", "avatar")  # those that make no sense without a face
+HEAD_STAGES = ("neutral", "albedo", "blendshapes", "avatar")  # those that work on the template: no face, no sense
 NAMES = [stage.name for stage in STAGES]
 
 
@@ -123,13 +123,12 @@ def plan(first: str | None, until: str | None, only: str | None, force: bool) ->
     return Plan(selected, forced, False)
 
 
-def keys(capture_digest: str, chosen: dict[str, Any]) -> dict[str, str]:
+def keys(capture_digest: str, template_digest: str, chosen: dict[str, Any]) -> dict[str, str]:
     """
     What each stage's artefact is made of, as a hash: the stage's version, its options, the keys of the stages that it
     needs, for the capture the bytes of its files, and for the stages that use the head template its bytes.
     """
     made: dict[str, str] = {}
-    template = hashlib.sha256((template_folder() / "head.npz").read_bytes()).hexdigest()
     for stage in STAGES:
         recipe = {
             "stage": stage.name,
@@ -138,7 +137,7 @@ def keys(capture_digest: str, chosen: dict[str, Any]) -> dict[str, str]:
             "needs": [made[name] for name in stage.needs] or [capture_digest],
         }
         if stage.name in HEAD_STAGES:
-            recipe["template"] = template
+            recipe["template"] = template_digest
         made[stage.name] = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
     return made
 
@@ -161,6 +160,7 @@ def run(
     project: Project,
     source: Path,
     capture_digest: str,
+    template: TemplateFile,
     chosen: dict[str, Any],
     what: Plan,
     progress: Progress,
@@ -169,12 +169,16 @@ def run(
     """
     Brings the planned stages of a locked project up to date; `tell` hears of each one (and whether it ran now).
 
-    Raises InputError where the input cannot serve, where --only finds its inputs stale and, after the last stage, where
-    the photos show no face: cameras and points are then in COLMAP's own scale.
+    Raises InputError where the input or the template cannot serve, where --only finds its inputs stale and, after the
+    last stage, where the photos show no face: cameras and points are then in COLMAP's own scale.
     """
-    made_of = keys(capture_digest, chosen)
+    made_of = keys(capture_digest, template.digest, chosen)
     before = {line.name: line for line in states(project, made_of)}
     loaded: dict[str, Any] = {}
+    head = None
+    wanted = [line for line in before.values() if line.name in HEAD_STAGES and line.name in what.selected]
+    if any(what.only or line.name in what.forced or line.state != "fresh" for line in wanted):
+        head = template.load()  # one that cannot serve is refused before the stages that need none take their minutes
 
     def load(name: str) -> Any:
         if name not in loaded:
@@ -201,7 +205,11 @@ def run(
             if stale:
                 states_ = ", ".join(f"{name} is {before[name].state}" for name in stale)
                 raise InputError(f"--only {stage.name} needs fresh inputs, but {states_}: run without --only")
-        line = _run_stage(project, stage, source, made_of[stage.name], chosen[stage.name], load, progress)
+        more: dict[str, Any] = {"template": head or template.load()} if stage.name in HEAD_STAGES else {}
+        if stage.reports:
+            stamps = [project.stamp(row.name) for row in STAGES if row.name != stage.name]
+            more["stamps"] = [stamp for stamp in stamps if stamp]
+        line = _run_stage(project, stage, source, made_of[stage.name], chosen[stage.name], load, progress, more)
         loaded.pop(stage.name, None)
         tell(line, True)
     if "points" in what.selected and not load("capture").face:
@@ -219,13 +227,12 @@ def _run_stage(
     chosen: Any,
     load: Callable[[str], Any],
     progress: Progress,
+    more: dict[str, Any],
 ) -> StageState:
     log.info("stage %s begins", stage.name)
     started, clock = datetime.now(UTC), time.perf_counter()
     function = importlib.import_module(f"avatarbuild.stages.{stage.name}").run
     inputs = [load(name) for name in stage.needs] or [source]
-    before = [project.stamp(row.name) for row in STAGES if stage.reports and row.name != stage.name]
-    more = {"stamps": [stamp for stamp in before if stamp]} if stage.reports else {}
     artefact = function(*inputs, chosen, progress, **more)
     seconds = time.perf_counter() - clock
     stamp = {

@@ -17,6 +17,7 @@ from typing import Any
 import filelock
 
 from avatarbuild.errors import InputError
+from avatarbuild.template_files import SHIPPED, TemplateFile, resolve
 
 _PARTIAL, _OLD = ".saving-", ".replaced-"
 _STAGE_ORDER = (
@@ -144,7 +145,7 @@ class Project:
             raise InputError(f"{message}: free some space, or name another disk with -o")
 
     def settings(self) -> dict[str, Any]:
-        """What project.toml says: capture (a path relative to the project), quality, options."""
+        """What project.toml says: capture and template (paths relative to the project), quality, options."""
         try:
             with (self.root / "project.toml").open("rb") as f:
                 return tomllib.load(f)
@@ -153,14 +154,21 @@ class Project:
         except tomllib.TOMLDecodeError as error:
             raise InputError(f"{self.root / 'project.toml'} is not valid TOML ({error}): mend or delete it") from None
 
-    def write_settings(self, capture: Path, quality: str, options: dict[str, str]) -> None:
-        """Writes project.toml: the capture's path relative to the project, and the options that differ."""
-        try:
-            where = Path(os.path.relpath(capture, self.root)).as_posix()
-        except ValueError:  # another drive on Windows
-            where = Path(os.path.abspath(capture)).as_posix()
+    def template(self) -> TemplateFile:
+        """
+        The head template that project.toml names, or the shipped one.
+
+        Raises InputError where its file is not there any more.
+        """
+        kept = self.settings().get("template", SHIPPED)
+        return resolve(kept if kept == SHIPPED else self.root / kept)
+
+    def write_settings(self, capture: Path, template: TemplateFile, quality: str, options: dict[str, str]) -> None:
+        """Writes project.toml: capture and template relative to the project, and the options that differ."""
         quote = lambda text: json.dumps(text, ensure_ascii=False)  # noqa: E731
-        lines = [f"capture = {quote(where)}", f"quality = {quote(quality)}", "", "[options]"]
+        named = SHIPPED if template.shipped else self._from_here(template.path)
+        lines = [f"capture = {quote(self._from_here(capture))}", f"template = {quote(named)}"]
+        lines += [f"quality = {quote(quality)}", "", "[options]"]
         lines += [f"{quote(key)} = {quote(value)}" for key, value in sorted(options.items())]
         partial = self.root / f"{_PARTIAL}project.toml"
         try:
@@ -170,6 +178,12 @@ class Project:
             partial.rmdir()
         except OSError as error:
             raise InputError(f"the project folder {self.root} cannot be written: {error.strerror}") from None
+
+    def _from_here(self, path: Path) -> str:
+        try:
+            return Path(os.path.relpath(path, self.root)).as_posix()
+        except ValueError:  # another drive on Windows
+            return Path(os.path.abspath(path)).as_posix()
 
     def sizes(self) -> dict[str, int]:
         """Bytes of every stage folder that exists."""

@@ -12,12 +12,12 @@ from rich.table import Table
 
 from avatarbuild.errors import InputError
 from avatarbuild.template import Template, template_folder
+from avatarbuild.template_files import SHIPPED, resolve, templates_in
 from avatarbuild.template_import import bfm, flame, ict
 from avatarbuild.template_import.transfer import to_template
 
 log = logging.getLogger(__name__)
 
-SHIPPED = "head"
 READERS = {"ict": ict.read, "flame": flame.read, "bfm": bfm.read}
 _SUFFIXES = {".npz": "flame", ".pkl": "flame", ".pickle": "flame", ".h5": "bfm", ".hdf5": "bfm", ".mat": "bfm"}
 
@@ -57,24 +57,8 @@ def list_templates(folder: Path | None = None) -> list[TemplateEntry]:
     if folder is not None:
         if not folder.is_dir():
             raise InputError(f"{folder}: no such folder; name one that holds imported templates")
-        files += [(path, False) for path in sorted(folder.glob("*.npz")) if _is_template(path)]
+        files += [(path, False) for path in templates_in(folder)]
     return [TemplateEntry(SHIPPED if own else path.stem, path, path.stat().st_size, own) for path, own in files]
-
-
-def resolve(path_or_name: str | Path) -> Path:
-    """The file of a template: the shipped one by its name, any other by its path.
-
-    Raises:
-        InputError: neither.
-    """
-    path = Path(path_or_name)
-    if path.is_file():
-        return path
-    if str(path_or_name) == SHIPPED:
-        return template_folder() / "head.npz"
-    raise InputError(
-        f"template {path_or_name}: no such file; give {SHIPPED!r} or a .npz from `avatarbuild template import`"
-    )
 
 
 def describe(path_or_name: str | Path) -> TemplateFacts:
@@ -83,7 +67,7 @@ def describe(path_or_name: str | Path) -> TemplateFacts:
     Raises:
         InputError: no template there.
     """
-    path = resolve(path_or_name)
+    path = resolve(path_or_name).path
     template = Template.load(path)
     skin = template.mean[template.parts["skin"].vertices]
     wide, high, deep = (float(side) for side in skin.max(axis=0) - skin.min(axis=0))
@@ -170,13 +154,3 @@ def facts_table(facts: TemplateFacts) -> Table:
     table.add_row("eyes apart", f"{facts.eye_distance:.1f} mm")
     table.add_row("width, height, depth", " x ".join(f"{side:.0f}" for side in facts.extent) + " mm")
     return table
-
-
-def _is_template(path: Path) -> bool:
-    import numpy as np
-
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            return {"mean", "expression_names", "part_ranges"} <= set(stored.files)
-    except (ValueError, OSError, EOFError):
-        return False

@@ -60,7 +60,7 @@ def main() -> None:
     print("texels  seconds  peak GB")
     for size in a.sizes:
         start = time.perf_counter()
-        made = stage.run(*inputs, AlbedoOptions(size=size), Silent())
+        made = stage.run(*inputs, AlbedoOptions(size=size), Silent(), Template.load())
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
         print(f"{size:6d} {time.perf_counter() - start:8.1f} {peak:8.2f}", flush=True)
     if made is not None and a.truth and a.scorer and a.glb:
@@ -68,7 +68,12 @@ def main() -> None:
     seams(*inputs)
     photos(*inputs, a.pictures)
     if capture.clip is not None:
-        video(capture, neutral, made or stage.run(*inputs, AlbedoOptions(size=2048), Silent()), a.pictures)
+        video(
+            capture,
+            neutral,
+            made or stage.run(*inputs, AlbedoOptions(size=2048), Silent(), Template.load()),
+            a.pictures,
+        )
 
 
 def score(made: Albedo, truth: Path, scorer: Path, glb: Path) -> None:
@@ -203,7 +208,9 @@ def photos(capture: Capture, cameras: Cameras, cloud: Cloud, neutral: Neutral, p
     order = np.argsort([photo.yaw for photo in shots])
     out = [shots[i] for i in order[np.linspace(0, len(shots) - 1, LEFT_OUT + 2).astype(int)[1:-1]]]
     names = ",".join(photo.name for photo in out)
-    made = stage.run(capture, cameras, cloud, neutral, AlbedoOptions(size=2048, leave_out=names), Silent())
+    made = stage.run(
+        capture, cameras, cloud, neutral, AlbedoOptions(size=2048, leave_out=names), Silent(), Template.load()
+    )
     light = linear_picture(made.illumination)
     textures = {
         "fused, lit": linear_picture(made.fused),

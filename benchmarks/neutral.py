@@ -206,7 +206,7 @@ def trials(
         ("outliers, cap of hair", with_outliers_and_hair(cloud, made)),
     ):
         begun = time.perf_counter()
-        head = stage.run(capture, cameras, spoilt, NeutralOptions(), Silent())
+        head = stage.run(capture, cameras, spoilt, NeutralOptions(), Silent(), template)
         show(scorer, truth, template, name, head.vertices)
         _, R, t = similarity(made.vertices, head.vertices)
         apart = np.linalg.norm(made.vertices @ R.T + t - head.vertices, axis=1)[template.regions["face"]]

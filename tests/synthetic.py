@@ -143,6 +143,7 @@ def neutral(seed: int) -> Neutral:
     disc = np.where((np.hypot(x, y) < 13)[..., None], [96, 60, 40], [236, 232, 228]).astype(np.uint8)
     return Neutral(
         vertices=subject.neutral,
+        triangles=t.triangles,
         coefficients=subject.identity,
         model=model,
         eye_centres=subject.eye_centres,

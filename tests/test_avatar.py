@@ -78,6 +78,7 @@ def person() -> tuple[Capture, Cameras, Cloud, Neutral, Albedo, Blendshapes]:
     eye = np.random.default_rng(1).integers(0, 255, (32, 32, 3)).astype(np.uint8)
     neutral = Neutral(
         vertices=subject.neutral,
+        triangles=template.triangles,
         coefficients=subject.identity,
         model=subject.neutral,
         eye_centres=subject.eye_centres,
@@ -102,7 +103,7 @@ def person() -> tuple[Capture, Cameras, Cloud, Neutral, Albedo, Blendshapes]:
 
 @cache
 def built() -> Avatar:
-    return avatar.run(*person(), OPTIONS, Silent())
+    return avatar.run(*person(), OPTIONS, Silent(), synthetic.template())
 
 
 def glb() -> Gltf:
@@ -166,7 +167,7 @@ def test_size() -> None:
 
 
 def test_same_bytes_twice() -> None:
-    assert avatar.run(*person(), OPTIONS, Silent()).files == built().files
+    assert avatar.run(*person(), OPTIONS, Silent(), synthetic.template()).files == built().files
 
 
 # the contract
@@ -385,7 +386,7 @@ def test_provenance() -> None:
 
 def test_photos_alone_give_a_whole_avatar() -> None:
     capture, *rest = person()
-    made = avatar.run(dataclasses.replace(capture, clip=None), *rest, OPTIONS, Silent())
+    made = avatar.run(dataclasses.replace(capture, clip=None), *rest, OPTIONS, Silent(), synthetic.template())
     assert made.files["avatar.glb"] == built().files["avatar.glb"]
     assert about(made)["capture"]["video"] is None
 

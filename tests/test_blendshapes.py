@@ -40,7 +40,7 @@ _made: dict[object, Blendshapes] = {}
 
 def built(seed: int) -> Blendshapes:
     if seed not in _made:
-        _made[seed] = blendshapes.run(synthetic.neutral(seed), BlendshapesOptions(), Silent())
+        _made[seed] = blendshapes.run(synthetic.neutral(seed), BlendshapesOptions(), Silent(), synthetic.template())
     return _made[seed]
 
 
@@ -203,21 +203,23 @@ def test_shapes_turn_and_grow_with_the_person() -> None:
     R = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
     s, t = 1.13, np.array([3.0, -20.0, 8.0])
     moved = replace(person, vertices=s * person.vertices @ R.T + t, eye_centres=s * person.eye_centres @ R.T + t)
-    found = blendshapes.run(moved, BlendshapesOptions(), Silent())
+    found = blendshapes.run(moved, BlendshapesOptions(), Silent(), synthetic.template())
     expected = s * built(1).deltas @ R.T
     assert np.abs(found.deltas - expected).max() < 0.01  # the iterative solver's rest, and pixels of the tooth picture
     assert np.abs(found.deltas - expected).mean() < 1e-5
 
 
 def test_repeats_bit_for_bit() -> None:
-    again = blendshapes.run(synthetic.neutral(2), BlendshapesOptions(), Silent())
+    again = blendshapes.run(synthetic.neutral(2), BlendshapesOptions(), Silent(), synthetic.template())
     assert again.deltas.tobytes() == built(2).deltas.tobytes()
 
 
 def test_another_topology_is_told() -> None:
     person = synthetic.neutral(1)
     with pytest.raises(InputError, match="vertices"):
-        blendshapes.run(replace(person, vertices=person.vertices[:-1]), BlendshapesOptions(), Silent())
+        blendshapes.run(
+            replace(person, vertices=person.vertices[:-1]), BlendshapesOptions(), Silent(), synthetic.template()
+        )
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -291,7 +293,9 @@ def test_symmetric_head_has_symmetric_blinks() -> None:
     flip = np.array([-1.0, 1, 1])
     vertices = (person.vertices + person.vertices[t.symmetry] * flip) / 2
     eyes = (person.eye_centres + person.eye_centres[::-1] * flip) / 2
-    made = blendshapes.run(replace(person, vertices=vertices, eye_centres=eyes), BlendshapesOptions(), Silent())
+    made = blendshapes.run(
+        replace(person, vertices=vertices, eye_centres=eyes), BlendshapesOptions(), Silent(), synthetic.template()
+    )
     left, right = (made.deltas[t.expression_index[f"eyeBlink{side}"]] for side in ("Left", "Right"))
     assert np.abs(left[t.symmetry] * flip - right).max() < 0.02
 
@@ -322,5 +326,5 @@ def test_sealed_lips_stay_sealed(seed: int) -> None:
 def test_contacts_help() -> None:
     """Without them the same head's lids leave their balls: the figures are able to tell."""
     person = synthetic.neutral(4)
-    free = blendshapes.run(person, BlendshapesOptions(contacts=False), Silent())
+    free = blendshapes.run(person, BlendshapesOptions(contacts=False), Silent(), synthetic.template())
     assert free.figures["lid_gap_mm"] > 2 * built(4).figures["lid_gap_mm"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from types import SimpleNamespace
 
@@ -130,10 +131,13 @@ def test_the_shipped_texture() -> None:
     assert (template_folder() / "skin.jpg").stat().st_size < 1.5e6
 
 
-def test_a_template_without_a_texture_has_plain_colours() -> None:
-    from dataclasses import replace
-
+def test_a_template_of_the_shipped_chart_has_the_shipped_texture() -> None:
     other = replace(scene().template, name="another")
+    np.testing.assert_array_equal(template_skin.skin_texture(other, SIZE), scene().texture)
+
+
+def test_a_template_of_another_chart_has_plain_colours() -> None:
+    other = replace(scene().template, uv=0.9 * scene().template.uv)
     image = template_skin.skin_texture(other, 128)
     assert image.shape == (128, 128, 3)
     assert (image > 0).all()

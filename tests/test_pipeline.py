@@ -19,6 +19,7 @@ from avatarbuild.errors import InputError
 from avatarbuild.pipeline import Stage, keys, plan, run, states
 from avatarbuild.progress import Silent
 from avatarbuild.project import Project, default_project, digest_files, stage_folder_name
+from avatarbuild.template_files import TemplateFile, resolve
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ class Number:
         return Number(int((folder / "number").read_text()))
 
 
+given: dict[str, Any] = {}  # the template that each stage was given
 told: dict[str, tuple[tuple[Any, ...], list[dict[str, Any]] | None]] = {}  # what each stage was given last
 
 
@@ -49,8 +51,10 @@ def cheap(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     ran: list[str] = []
 
     def module(name: str) -> SimpleNamespace:
-        def work(*inputs: Any, stamps: list[dict[str, Any]] | None = None) -> Number:
+        def work(*inputs: Any, stamps: list[dict[str, Any]] | None = None, template: Any = None) -> Number:
             ran.append(name)
+            if template is not None:
+                given[name] = template
             told[name] = (inputs, stamps)
             return Number(sum(i.value if isinstance(i, Number) else 1 for i in inputs[:-2]) + inputs[-2].amount)
 
@@ -74,7 +78,8 @@ def cheap(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 def go(project: Project, settings: dict[str, str] | None = None, digest: str = "x", **words: Any) -> None:
     what = plan(words.get("first"), words.get("until"), words.get("only"), words.get("force", False))
     with project.lock():
-        run(project, Path("."), digest, options.stage_options("standard", settings), what, Silent(), lambda *_: None)
+        chosen = options.stage_options("standard", settings)
+        run(project, Path("."), digest, resolve("head"), chosen, what, Silent(), lambda *_: None)
 
 
 def value(project: Project, stage: str) -> int:
@@ -129,12 +134,11 @@ def test_what_a_stage_is_given(tmp_path: Path, cheap: list[str]) -> None:
     assert told["cameras"][1] is None
 
 
-def test_another_template_makes_the_heads_stages_stale(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_template_makes_the_heads_stages_stale(tmp_path: Path) -> None:
     chosen = options.stage_options()
-    before = keys("x", chosen)
-    (tmp_path / "head.npz").write_bytes(b"another head")
-    monkeypatch.setattr(pipeline, "template_folder", lambda: tmp_path)
-    after = keys("x", chosen)
+    before = keys("x", resolve("head").digest, chosen)
+    (tmp_path / "other.npz").write_bytes(b"another head")
+    after = keys("x", TemplateFile(tmp_path / "other.npz").digest, chosen)
     assert [name for name in before if before[name] != after[name]] == list(pipeline.HEAD_STAGES)
 
 
@@ -142,7 +146,7 @@ def test_states(tmp_path: Path, cheap: list[str]) -> None:
     project = Project(tmp_path / "p")
     go(project, until="cameras")
     chosen = options.stage_options("standard", {"cameras.amount": "2"})
-    assert [line.state for line in states(project, keys("x", chosen))] == ["fresh", "stale", "missing"]
+    assert [line.state for line in states(project, keys("x", "head", chosen))] == ["fresh", "stale", "missing"]
 
 
 @pytest.mark.parametrize(
@@ -269,14 +273,61 @@ def test_settings_survive_odd_names(tmp_path: Path) -> None:
     project = Project(tmp_path / "prôjet d'été")
     project.root.mkdir()
     capture = tmp_path / 'Zoë "1" фото'
-    project.write_settings(capture, "draft", {"points.window": "6"})
+    project.write_settings(capture, TemplateFile(tmp_path / "têtes" / "a.npz"), "draft", {"points.window": "6"})
     kept = project.settings()
     assert (project.root / kept["capture"]).resolve() == capture.resolve()
+    assert (project.root / kept["template"]).resolve() == tmp_path / "têtes" / "a.npz"
     assert kept["quality"] == "draft"
     assert kept["options"] == {"points.window": "6"}
     assert default_project(Path("x/me")).name == "me.avatar"
     assert stage_folder_name("details") == "09-details"
     assert stage_folder_name("avatar") == "avatar"
+
+
+def test_the_project_names_its_template(tmp_path: Path) -> None:
+    project = Project(tmp_path / "p")
+    project.root.mkdir()
+    assert project.template() == resolve("head")
+    project.write_settings(tmp_path, resolve("head"), "draft", {})
+    assert project.settings()["template"] == "head"
+    assert project.template().shipped
+    (tmp_path / "a.npz").write_bytes(b"")
+    project.write_settings(tmp_path, resolve(tmp_path / "a"), "draft", {})
+    assert project.settings()["template"] == "../a.npz"
+    assert project.template().digest == TemplateFile(tmp_path / "a.npz").digest
+    (tmp_path / "a.npz").unlink()
+    with pytest.raises(InputError, match="no such template"):
+        project.template()
+
+
+def test_the_heads_stages_are_given_the_template(
+    tmp_path: Path, cheap: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline, "HEAD_STAGES", ("points",))
+    asked: list[Path] = []
+    monkeypatch.setattr(TemplateFile, "load", lambda self: asked.append(self.path) or "the head")
+    go(Project(tmp_path / "p"), until="cameras")
+    assert asked == []
+    go(Project(tmp_path / "p"))
+    go(Project(tmp_path / "p"))
+    assert asked == [resolve("head").path]
+    assert given == {"points": "the head"}
+
+
+def test_a_template_that_cannot_serve_is_refused_before_the_first_stage(
+    tmp_path: Path, cheap: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline, "HEAD_STAGES", ("points",))
+
+    def refuse(self: TemplateFile) -> None:
+        raise InputError("no teeth")
+
+    monkeypatch.setattr(TemplateFile, "load", refuse)
+    with pytest.raises(InputError, match="no teeth"):
+        go(Project(tmp_path / "p"))
+    assert cheap == []
+    go(Project(tmp_path / "p"), until="cameras")
+    assert cheap == ["capture", "cameras"]
 
 
 def test_every_stage_row_has_its_function_and_options() -> None:

@@ -100,7 +100,18 @@ def given() -> Given:
     distance[: len(outer)][outer], sure[: len(outer)][outer] = 0.5, 1.0
     eye = np.full((64, 64, 3), 200, np.uint8)
     neutral = Neutral(
-        *(t.mean, np.zeros(4), t.mean, t.eye_centres, np.full(2, 12.0), np.linalg.inv(to_cloud), sure, distance, eye)
+        *(
+            t.mean,
+            t.triangles,
+            np.zeros(4),
+            t.mean,
+            t.eye_centres,
+            np.full(2, 12.0),
+            np.linalg.inv(to_cloud),
+            sure,
+            distance,
+            eye,
+        )
     )
     shapes = Blendshapes(t.mean, t.expressions.astype(np.float32), t.eye_centres)
     capture = Capture(photos, None, 4, np.ones(k, bool), True)

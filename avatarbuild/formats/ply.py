@@ -8,6 +8,7 @@ _VERTEX = np.dtype(
     [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")]
     + [(name, "u1") for name in ("red", "green", "blue", "views")]
 )
+_FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 _NAMES = {"<f4": "float", "|u1": "uchar"}
 
 
@@ -49,6 +50,19 @@ def mesh_bytes(vertices: np.ndarray, triangles: np.ndarray) -> bytes:
         *(f"property float {axis}" for axis in "xyz"),
         *(f"element face {len(triangles)}", "property list uchar int vertex_indices", "end_header"),
     ]
-    faces = np.empty(len(triangles), np.dtype([("count", "u1"), ("corners", "<i4", 3)]))
+    faces = np.empty(len(triangles), _FACE)
     faces["count"], faces["corners"] = 3, triangles
     return ("\n".join(header) + "\n").encode("ascii") + vertices.astype("<f4").tobytes() + faces.tobytes()
+
+
+def mesh_triangles(data: bytes) -> np.ndarray:
+    """
+    Triangles (m, 3) int32 of a file written by `mesh_bytes`.
+
+    Raises ValueError for any other layout.
+    """
+    end = data.find(b"end_header\n") + len(b"end_header\n")
+    counts = [int(line.split()[-1]) for line in data[:end].splitlines() if line.startswith(b"element ")]
+    if len(counts) != 2 or len(data) != end + 12 * counts[0] + _FACE.itemsize * counts[1]:
+        raise ValueError("not a mesh written by this program")
+    return np.frombuffer(data, _FACE, offset=end + 12 * counts[0])["corners"].astype(np.int32)

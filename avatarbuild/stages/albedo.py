@@ -26,14 +26,19 @@ _SURE = 0.2  # how well a texel is seen from which its fused colour stands alone
 
 
 def run(
-    capture: Capture, cameras: Cameras, points: Cloud, neutral: Neutral, options: AlbedoOptions, progress: Progress
+    capture: Capture,
+    cameras: Cameras,
+    points: Cloud,
+    neutral: Neutral,
+    options: AlbedoOptions,
+    progress: Progress,
+    template: Template,
 ) -> Albedo:
     """
     The person's skin without the light.
 
     Raises InputError where `leave_out` names no photo, or leaves too few.
     """
-    template = Template.load()
     placed = placed_photos(cameras.model, [f"{name}.jpg" for name in capture.photos.names])
     out = left_out(capture.photos, options.leave_out)
     photos = [p for p in placed_in_head(capture.photos, placed, neutral.head_from_cloud) if p.photo not in out]

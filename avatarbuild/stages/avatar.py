@@ -31,10 +31,10 @@ def run(
     blendshapes: Blendshapes,
     options: AvatarOptions,
     progress: Progress,
+    template: Template,
     stamps: Sequence[dict[str, Any]] = (),
 ) -> Avatar:
     """The files of the avatar folder; each is complete on its own. `stamps`: what the stages before left behind."""
-    template = Template.load()
     rig = avatar_glb.Rig(
         blendshapes.neutral, blendshapes.deltas, blendshapes.eye_centres, options.least_motion, options.least_turn
     )

@@ -24,18 +24,16 @@ TOLERANCE = 1e-5  # of the solver: about 1e-4 mm
 MOUTH_PARTS = ("teeth_upper", "teeth_lower", "gums", "tongue")
 
 
-def run(
-    neutral: Neutral, options: BlendshapesOptions, progress: Progress, template: Template | None = None
-) -> Blendshapes:
+def run(neutral: Neutral, options: BlendshapesOptions, progress: Progress, template: Template) -> Blendshapes:
     """
     The person's rig: displacements of the template's expressions, in ARKit's order.
 
     All is done in the template's frame and size, that is, after the similarity that takes the person's face to the
-    template's mean; hence the result turns and grows with the person. `template` is the shipped head unless given.
+    template's mean; hence the result turns and grows with the person.
 
     Raises InputError where the neutral head is of another topology than the template.
     """
-    t = template or Template.load()
+    t = template
     if neutral.vertices.shape != t.mean.shape:
         raise InputError(
             f"the neutral head has {len(neutral.vertices)} vertices and the template '{t.name}' {t.vertex_count}: "

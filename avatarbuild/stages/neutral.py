@@ -39,13 +39,14 @@ COARSE_CLOUD = [Step(100, 1, 20, 20), Step(100, 0.5, 5, 12), Step(100, 0.1, 1, 8
 """Then the cloud, from far and with landmarks as a leash."""
 
 
-def run(capture: Capture, cameras: Cameras, points: Cloud, options: NeutralOptions, progress: Progress) -> Neutral:
+def run(
+    capture: Capture, cameras: Cameras, points: Cloud, options: NeutralOptions, progress: Progress, template: Template
+) -> Neutral:
     """
     The person's neutral head.
 
     Raises InputError where too few photos show the face well enough to place the model.
     """
-    template = Template.load()
     photos = capture.photos
     placed = placed_photos(cameras.model, [f"{name}.jpg" for name in photos.names])
     trusted = photos.trusted(options.presence, options.max_yaw)
@@ -173,6 +174,7 @@ def assemble(
         )
     return Neutral(
         place(vertices),
+        template.triangles,
         model.coefficients,
         place(model.head(template)),
         place(centres),

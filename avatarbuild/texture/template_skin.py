@@ -1,4 +1,4 @@
-"""The shipped skin texture of the template, and plain colours for templates that have none."""
+"""The shipped skin texture, for every template with the shipped chart; plain colours for others."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from avatarbuild.formats.images import decode_jpeg
 from avatarbuild.template import Template, template_folder
 from avatarbuild.texture.chart import draw_chart
 
-SHIPPED = "head"
 # linear colours of the parts of a template without a texture of its own
 _PLAIN = {
     "skin": (0.42, 0.25, 0.17),
@@ -27,7 +26,7 @@ _LIPS, _FLESH = (0.30, 0.12, 0.09), (0.30, 0.085, 0.075)
 def skin_texture(template: Template, size: int) -> np.ndarray:
     """(size, size, 3) float32 linear albedo of the whole atlas, row 0 on top."""
     stored = template_folder() / "skin.jpg"
-    if template.name != SHIPPED or not stored.is_file():
+    if not stored.is_file() or not _shipped_chart(template):
         return _plain(template, size)
     table = linear_from_srgb(np.arange(256) / 255.0).astype(np.float32)
     image = table[decode_jpeg(stored.read_bytes())]
@@ -35,6 +34,13 @@ def skin_texture(template: Template, size: int) -> np.ndarray:
         return image
     how = cv2.INTER_AREA if size < image.shape[0] else cv2.INTER_CUBIC
     return np.clip(cv2.resize(image, (size, size), interpolation=how), 0.002, 1.0)
+
+
+def _shipped_chart(template: Template) -> bool:
+    """Whether the template has the shipped head's texture layout, as imported ones do."""
+    with np.load(template_folder() / "head.npz") as head:
+        same = (np.array_equal(head[key], getattr(template, key)) for key in ("uv", "uv_triangles"))
+        return all(same)
 
 
 def _plain(template: Template, size: int) -> np.ndarray:
