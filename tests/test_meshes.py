@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from avatarbuild.formats.ply import mesh_bytes
+from avatarbuild.formats.ply import mesh_bytes, mesh_triangles
 from avatarbuild.geometry import meshes
 from avatarbuild.template import Template
 
@@ -64,3 +64,12 @@ def test_a_mesh_file_is_read_by_others(tmp_path, skin: tuple[np.ndarray, np.ndar
     mesh = trimesh.load(tmp_path / "m.ply", process=False)
     assert np.allclose(mesh.vertices, skin[0], atol=1e-4)
     assert np.array_equal(mesh.faces, skin[1])
+
+
+def test_a_stored_mesh_gives_its_triangles_back() -> None:
+    data = mesh_bytes(np.arange(12.0).reshape(4, 3), np.array([[0, 1, 2], [2, 3, 0]]))
+    found = mesh_triangles(data)
+    assert found.dtype == np.int32
+    assert found.tolist() == [[0, 1, 2], [2, 3, 0]]
+    with pytest.raises(ValueError, match="not a mesh"):
+        mesh_triangles(data[:-1])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import subprocess
 import sys
 import types
 from dataclasses import replace
@@ -16,13 +17,20 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from avatarbuild import template_commands
+from avatarbuild.artefacts import Neutral
 from avatarbuild.errors import InputError
 from avatarbuild.formats.obj import read_obj
+from avatarbuild.options import BlendshapesOptions
+from avatarbuild.progress import Silent
+from avatarbuild.stages import blendshapes
 from avatarbuild.template import ARKIT_NAMES, Template
+from avatarbuild.template_files import resolve
 from avatarbuild.template_import import bfm, flame, ict, transfer
 from avatarbuild.template_import.foreign import ForeignHead, largest_component, millimetres
 from avatarbuild.template_import.safe_pickle import Record, dense, loads
 from avatarbuild.template_import.wrap import Wrap, attach, extension
+from avatarbuild.texture.template_skin import skin_texture
+from tests import synthetic
 
 TURN, SHIFT = scipy.linalg.expm(np.cross(np.eye(3), [0.06, -0.04, 0.03])), np.array([3.0, 40.0, -15.0])
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6]])
@@ -420,8 +428,47 @@ def test_list_and_info(imported: Path) -> None:
     assert template_commands.describe("head").vertices == facts.vertices
     assert template_commands.list_table(entries).row_count == 2
     assert template_commands.facts_table(facts).row_count >= 6
-    with pytest.raises(InputError, match="no such file"):
-        template_commands.describe("nobody")
+    with pytest.raises(InputError, match="did you mean"):
+        template_commands.describe(imported.with_name("othr"))
+
+
+def test_an_imported_head_goes_through_the_stages(imported: Path) -> None:
+    """A person of the imported model, registered without fault, gets the 52 shapes with lids and lips in contact."""
+    found = resolve(imported).load()
+    a = np.array([1.0, -0.5, 0.8, 0, 0, -1])
+    person, eyes = found.neutral(a), found.eye_positions(a)
+    nothing = np.zeros(found.vertex_count)
+    grey = np.full((64, 64, 3), 200, np.uint8)
+    neutral = Neutral(
+        *(
+            person,
+            found.triangles,
+            a,
+            person,
+            eyes,
+            np.full(2, 12.0),
+            np.eye(4),
+            nothing,
+            np.full_like(nothing, np.nan),
+        ),
+        grey,
+    )
+    made = blendshapes.run(neutral, BlendshapesOptions(), Silent(), found)
+    assert made.deltas.shape == found.expressions.shape
+    assert made.figures["lid_gap_mm"] < 0.3
+    assert made.figures["lips_off_mm"] < 0.3
+    far = np.abs(made.deltas - found.expressions)[:, found.regions["face"]]
+    assert 0 < far.mean() < 0.3
+    assert skin_texture(found, 64).std() > 0.05  # the shipped one
+
+
+@pytest.mark.slow
+def test_a_capture_becomes_an_avatar_of_an_imported_template(imported: Path, tmp_path: Path) -> None:
+    capture, project = synthetic.capture(11, photos=20, photo_width=480), tmp_path / "p"
+    command = [sys.executable, "-m", "avatarbuild", "run", capture, "-o", project, "--quality", "draft"]
+    subprocess.run([*command, "--template", imported.parent], check=True)
+    assert json.loads((project / "avatar" / "avatar.json").read_text())["versions"]["template"]["name"] == "flame"
+    assert (project / "04-neutral" / "neutral.ply").stat().st_size > 1e5
 
 
 def test_what_is_no_face_is_refused(shipped: Template, other: ForeignHead) -> None:
