@@ -272,3 +272,24 @@ def test_pins_move_with_the_person() -> None:
     across = np.einsum("ci,cij,cj->c", off, held.stiffness, off)
     assert sp.issparse(held.rows)
     assert np.sqrt(np.median(across)) < 1.0  # standard deviations
+
+
+def test_rims_seen_at_a_wrong_depth_stay_in_line() -> None:
+    """What all photos see 2 mm too deep is moved along the line of sight, and neither up nor down the face."""
+    t = synthetic.template()
+    vertices = synthetic.neutral(32).vertices
+    right = watched(t.landmarks(vertices), 0.0)
+    middle = right.points[[61, 291, 0, 17]].mean(axis=0)
+    sight = (right.centres - middle) / np.linalg.norm(right.centres - middle, axis=1, keepdims=True)
+    sight = sight.mean(axis=0) / np.linalg.norm(sight.mean(axis=0))
+    up = np.cross(sight, [1.0, 0, 0])
+    lips = t.contours["lips_outer_lower"]
+
+    def cost(shift: np.ndarray) -> float:
+        held = pins(t, replace(right, points=right.points + shift), vertices, 6.0, 0.3, 1.0, 4.0)
+        rows = np.unique(held.rows[:, lips].tocoo().row)
+        off = np.asarray(held.rows @ vertices[: t.parts["skin"].vertices.stop]) - held.places
+        return float(np.einsum("ci,cij,cj->c", off, held.stiffness, off)[rows].mean())
+
+    still = cost(np.zeros(3))
+    assert cost(2 * sight) - still < 0.1 * (cost(2 * up) - still)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from avatarbuild.geometry import meshes
 from avatarbuild.registration.shell import Pins
 from avatarbuild.registration.sightings import Sightings
 from avatarbuild.template import Template
@@ -85,12 +84,11 @@ def pins(
     places = [seen.points[index]]
     stiff = [seen.precision[index] / landmark**2]
 
-    forward = _forward(model, template)
-
     def along(name: str, at: np.ndarray, tangent: np.ndarray, sigma: float, depth: float | None) -> None:
         line = template.contours[name]
         spacing = 3.5 / max(len(line), 1) ** 0.5  # the more vertices a curve has, the less each counts
-        up = np.cross(forward, tangent)
+        sight = _sight(at, seen)
+        up = np.cross(sight, tangent)
         up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
         out = np.cross(tangent, up)
         across = np.einsum("ca,cb->cab", up, up)
@@ -148,11 +146,10 @@ def _rows(template: Template, index: np.ndarray, n: int) -> sp.csr_matrix:
     )
 
 
-def _forward(model: np.ndarray, template: Template) -> np.ndarray:
-    """(3,) unit: out of the face, the mean normal of its front."""
-    normals = meshes.vertex_normals(model, template.triangles)
-    front = template.regions["lips"] & ~template.regions["mouth"]
-    total = normals[front].sum(axis=0)
+def _sight(places: np.ndarray, seen: Sightings) -> np.ndarray:
+    """(3,) unit: from the middle of places (c, 3) towards the cameras, the mean of the lines of sight."""
+    ray = seen.centres - places.mean(axis=0)
+    total = (ray / np.linalg.norm(ray, axis=1, keepdims=True)).sum(axis=0)
     return total / np.linalg.norm(total)
 
 
