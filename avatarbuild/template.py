@@ -40,6 +40,15 @@ CONTOUR_NAMES = (
 COMBINATION_LIMITS = (("mouthClose", "jawOpen"),)  # the first's weight never exceeds the second's
 
 
+def expression_weights(**named: float) -> np.ndarray:
+    """(52,) weights in ARKit's order, 0 but for the named; a name without its side stands for left and right."""
+    w = np.zeros(len(ARKIT_NAMES))
+    for name, value in named.items():
+        for full in (name,) if name in ARKIT_NAMES else (f"{name}Left", f"{name}Right"):
+            w[ARKIT_NAMES.index(full)] = value
+    return w
+
+
 class Part(NamedTuple):
     """A connected piece of the template: its vertices and its triangles, each a contiguous range."""
 

@@ -32,8 +32,8 @@ from avatarbuild.sfm.metric import placed_photos
 from avatarbuild.stages import albedo as stage
 from avatarbuild.template import Template
 from avatarbuild.texture.borders import border_pairs
-from avatarbuild.texture.chart import seam_ties
-from avatarbuild.texture.fusion import chart_at, corrected, fuse, texels_per_mm
+from avatarbuild.texture.chart import seam_ties, texels_per_mm
+from avatarbuild.texture.fusion import chart_at, corrected, fuse
 from avatarbuild.texture.observations import nodes_of
 from avatarbuild.texture.occlusion import of_vertices
 from avatarbuild.texture.photos import Photo, linear_picture, placed_in_head, srgb_picture

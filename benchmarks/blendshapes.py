@@ -28,6 +28,7 @@ from avatarbuild.progress import Silent  # noqa: E402
 from avatarbuild.simulation.subject import Subject, random_subject  # noqa: E402
 from avatarbuild.stages.blendshapes import transferred  # noqa: E402
 from avatarbuild.template import ARKIT_NAMES, Template  # noqa: E402
+from avatarbuild.template import expression_weights as weights  # noqa: E402
 
 FIRST = 1000  # seed of the first person
 
@@ -62,14 +63,6 @@ def truth(t: Template, count: int) -> None:
             errors[name].append(float(np.mean([apart[j][moving[j]].mean() for j in range(51)])))
     for name, found in errors.items():
         print(f"truth: {name:18s} mean {np.mean(found):.3f}, worst person {max(found):.3f} mm over {count} people")
-
-
-def weights(**named: float) -> np.ndarray:
-    w = np.zeros(52)
-    for name, value in named.items():
-        for full in (name,) if name in ARKIT_NAMES else (f"{name}Left", f"{name}Right"):
-            w[ARKIT_NAMES.index(full)] = value
-    return w
 
 
 def seen(t: Template, vertices: np.ndarray, centre: np.ndarray) -> np.ndarray:

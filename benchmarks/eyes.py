@@ -18,8 +18,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
 from avatarbuild.artefacts import Cameras, Capture, Neutral
 from avatarbuild.formats.colour import linear_from_srgb
@@ -36,7 +34,7 @@ from avatarbuild.simulation.chart import softened
 from avatarbuild.template import Template
 
 NOISE = 0.3  # mm
-SKIN = 11248  # vertices of a truth mesh that are skin; eyeballs, teeth, gums and tongue follow
+ICT_EYES = ((21451, 23021), (23021, 24591))  # vertices of the eyeballs in ICT-FaceKit's mesh, left and right
 IRIS, WHITE = (2.4, 5.0), (7.0, 9.0)  # mm from the gaze's axis, where colours are compared
 
 
@@ -60,7 +58,9 @@ def compare(project: Path, truth: Path, template: Template) -> None:
     own = [told[Path(views.files[i]).stem.lower()] for i in placed.index]
     at = np.array([-np.array(p["R"]).T @ np.array(p["t"]) for p in own])
     scale, turn, shift = similarity(at, placed.centres)  # cloud from truth
-    centres, radius, head = true_eyes(truth, template)
+    centres, radius = true_eyes(truth, template)
+    known = true_head(truth)
+    head = None if known is None else known[0]
     trusted = views.trusted(0.9, 60)
     photos = Photos(
         placed, views.landmarks, trusted, views.pose[:, 0], views.sharpness, lambda i: views.images[i].rgb()
@@ -110,37 +110,40 @@ def compare(project: Path, truth: Path, template: Template) -> None:
         )
 
 
-def true_eyes(truth: Path, template: Template) -> tuple[np.ndarray, float, np.ndarray | None]:
-    """Centres (2, 3) left and right, radius, and the head (n, 3) where it has the template's vertices."""
+def true_head(truth: Path) -> tuple[np.ndarray, np.ndarray] | None:
+    """The head (n, 3) in the template's order, and the template's vertex at each place; None: another's."""
     with np.load(truth / "mesh.npz") as mesh:
-        neutral, triangles = mesh["neutral"].astype(float), mesh["tri"]
-        order = mesh.get("template_vertex")
-    if order is not None:
-        head = np.empty_like(neutral)
-        head[order] = neutral
-        balls = [template.parts[name].vertices for name in EYES]
-        own = [template.mean[ball].mean(axis=0) - template.eye_centres[k] for k, ball in enumerate(balls)]
-        return np.array([head[ball].mean(axis=0) - o for ball, o in zip(balls, own)]), 12.0, head
-    rest = neutral[SKIN:]
-    t = triangles[(triangles >= SKIN).all(axis=1)] - SKIN
-    pairs = np.concatenate([t[:, [0, 1]], t[:, [1, 2]]])
-    graph = sp.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(rest), len(rest)))
-    _, label = connected_components(graph, directed=False)
-    fits = []
-    for k in np.flatnonzero(np.bincount(label) > 100):
-        centre, radius, spread = sphere(rest[label == k])
-        if spread < 0.05 * radius and 9 < radius < 20:
-            fits.append((centre, radius))
-    fits.sort(key=lambda f: -f[0][0])
-    return np.array([f[0] for f in fits]), float(np.mean([f[1] for f in fits])), None
+        order, neutral = mesh.get("template_vertex"), mesh["neutral"].astype(float)
+    if order is None:
+        return None
+    head = np.empty_like(neutral)
+    head[order] = neutral
+    return head, order
 
 
-def sphere(points: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """Centre, radius and the distances' standard deviation of the sphere through points (n, 3), by least squares."""
-    system = np.column_stack([2 * points, np.ones(len(points))])
-    x = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
-    distance = np.linalg.norm(points - x[:3], axis=1)
-    return x[:3], float(distance.mean()), float(distance.std())
+def true_eyes(truth: Path, template: Template) -> tuple[np.ndarray, float]:
+    """Centres (2, 3) of the left and the right eyeball, and their radius."""
+    known = true_head(truth)
+    if known is None:
+        with np.load(truth / "mesh.npz") as mesh:
+            balls = [mesh["neutral"][first:last].astype(float) for first, last in ICT_EYES]
+    else:
+        balls = [known[0][template.parts[name].vertices] for name in EYES]
+    fits = [sphere(ball) for ball in balls]
+    return np.array([centre for centre, _ in fits]), float(np.mean([radius for _, radius in fits]))
+
+
+def sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """The sphere on which most of the points lie: the cornea bulges out of it."""
+    keep = np.ones(len(points), bool)
+    centre, radius = points.mean(axis=0), 0.0
+    for _ in range(20):
+        A = np.c_[2 * points[keep], np.ones(keep.sum())]
+        x = np.linalg.lstsq(A, (points[keep] ** 2).sum(axis=1))[0]
+        centre, radius = x[:3], float(np.sqrt(x[3] + x[:3] @ x[:3]))
+        distance = np.linalg.norm(points - centre, axis=1)
+        keep = np.abs(distance - np.median(distance)) < 0.3
+    return centre, radius
 
 
 def colours(truth: Path, texture: np.ndarray, template: Template) -> str:

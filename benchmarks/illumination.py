@@ -28,7 +28,7 @@ from avatarbuild.simulation.skin import paint, random_person
 from avatarbuild.simulation.subject import random_subject
 from avatarbuild.template import Template
 from avatarbuild.texture import completion, illumination
-from avatarbuild.texture.chart import Chart, draw_chart
+from avatarbuild.texture.chart import Chart, draw_chart, texels_per_mm
 from avatarbuild.texture.fused import Fused
 from avatarbuild.texture.template_skin import skin_texture
 
@@ -161,7 +161,7 @@ def _cheek(fused: Fused, light: illumination.Light, template: Template, folder: 
     on = (fused.part == 1) & (fused.seen > 0.3)
     for name, image in (("photos", truth), ("completed", whole)):
         log = np.log(np.maximum(image.mean(axis=-1), 0.004))
-        fine = log - cv2.GaussianBlur(log, (0, 0), 1.6 * completion.texels_per_mm(template) * size)
+        fine = log - cv2.GaussianBlur(log, (0, 0), 1.6 * texels_per_mm(template, template.mean, size))
         ring = [log[on & (away > a) & (away <= a + 6)].mean() for a in (22, 28, 34)]
         pores = fine[on & (away < 20)].std()
         print(f"  {name:10s} steps across the border {np.diff(ring).round(3)}, pores (log) {pores:.3f}")

@@ -19,6 +19,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+from eyes import true_eyes, true_head
 from scipy.spatial import cKDTree
 
 from avatarbuild.artefacts import Cameras, Capture, Cloud, Neutral
@@ -26,14 +27,13 @@ from avatarbuild.geometry.similarity import similarity
 from avatarbuild.options import NeutralOptions
 from avatarbuild.progress import Silent
 from avatarbuild.registration.pins import LID_RIMS, LIP_BORDERS, SEAM
+from avatarbuild.report.overlay import contour_distance
 from avatarbuild.sfm.metric import placed_photos
-from avatarbuild.simulation.truth import SKIN, order_of
 from avatarbuild.stages import neutral as stage
 from avatarbuild.template import Template
 
 SEED = 11
 PHOTOS = 6  # the most frontal ones, for the overlay of rims
-ICT_EYES = ((21451, 23021), (23021, 24591))  # vertices of the eyeballs in ICT-FaceKit's mesh
 MEGAPIXELS = 2e6  # at which rims are compared
 
 
@@ -59,15 +59,14 @@ def main() -> None:
     show(scorer, truth, template, "morphable model alone", made.model)
     show(scorer, truth, template, "mean head alone", template.mean)
     alone(scorer, truth, cloud, made, place)
-    correspondence(truth, template, made, place)
-    eyes(a.truth, truth, template, made, place)
+    known = true_head(a.truth)
+    correspondence(truth, template, made, place, None if known is None else known[1])
+    eyes(a.truth, template, made, place)
     rims(template, capture, cameras, made, made.vertices)
-    if same_topology(truth, template):
+    if known is not None:
         s, R, t = place
-        with np.load(a.truth / "mesh.npz") as mesh:
-            true = mesh["neutral"][order_of(template).place]
         print("the true head's own rims against the detector:")
-        rims(template, capture, cameras, made, (true - t) @ R / s * 1000)
+        rims(template, capture, cameras, made, (known[0] - t) @ R / s * 1000)
     if a.trials:
         trials(scorer, truth, template, capture, cameras, cloud, made)
 
@@ -106,12 +105,12 @@ def alone(scorer: ModuleType, truth: Any, cloud: Cloud, made: Neutral, place: An
     print(f"{'cloud alone':24s}  {v['median']:6.3f}  {v['mean']:6.3f}  {v['p90']:6.3f}")
 
 
-def correspondence(truth: Any, template: Template, made: Neutral, place: Any) -> None:
-    """The 68 points of the head against the truth's, mm; of a truth in the template's topology, the same vertices."""
+def correspondence(truth: Any, template: Template, made: Neutral, place: Any, order: np.ndarray | None) -> None:
+    """The 68 points of the head against the truth's, mm; the same vertices where `order` (n,) tells the template's."""
     s, R, t = place
     points = template.landmarks(made.vertices)[template.landmarks68]
-    if same_topology(truth, template):
-        points = made.vertices[order_of(template).vertex[truth.lm]]
+    if order is not None:
+        points = made.vertices[order[truth.lm]]
     own = s * points / 1000 @ R.T + t
     off = np.linalg.norm(own - truth.V[truth.lm], axis=1)
     print(
@@ -121,46 +120,15 @@ def correspondence(truth: Any, template: Template, made: Neutral, place: Any) ->
     )
 
 
-def eyes(folder: Path, truth: Any, template: Template, made: Neutral, place: Any) -> None:
+def eyes(folder: Path, template: Template, made: Neutral, place: Any) -> None:
     """Eyeballs against spheres laid through the truth's eyeballs."""
     s, R, t = place
-    balls = true_eyeballs(folder, template)
+    centres, radius = true_eyes(folder, template)
     for k, name in enumerate(("left", "right")):
-        centre, radius = balls[k]
         own = s * made.eye_centres[k] / 1000 @ R.T + t
-        x, y, z = own - centre
+        x, y, z = own - centres[k]
         ratio = s / 1000 * made.eye_radius[k] / radius
         print(f"eye {name}: off by {x:+.2f} across, {y:+.2f} up, {z:+.2f} out, mm; radius {100 * (ratio - 1):+.1f} %")
-
-
-def true_eyeballs(folder: Path, template: Template) -> list[tuple[np.ndarray, float]]:
-    """Centre and radius of the spheres through the truth's left and right eyeball."""
-    with np.load(folder / "mesh.npz") as mesh:
-        points = mesh["neutral"].astype(float)
-    ranges = [np.arange(*both) for both in ICT_EYES]
-    if len(points) == template.vertex_count:
-        place = order_of(template).place
-        parts = (template.parts[name].vertices for name in ("eye_left", "eye_right"))
-        ranges = [place[np.arange(part.start, part.stop)] for part in parts]
-    return [sphere(points[index]) for index in ranges]
-
-
-def sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """The sphere on which most of the points lie: the cornea bulges out of it."""
-    keep = np.ones(len(points), bool)
-    centre, radius = points.mean(axis=0), 0.0
-    for _ in range(20):
-        A = np.c_[2 * points[keep], np.ones(keep.sum())]
-        x = np.linalg.lstsq(A, (points[keep] ** 2).sum(axis=1))[0]
-        centre, radius = x[:3], float(np.sqrt(x[3] + x[:3] @ x[:3]))
-        distance = np.linalg.norm(points - centre, axis=1)
-        keep = np.abs(distance - np.median(distance)) < 0.3
-    return centre, radius
-
-
-def same_topology(truth: Any, template: Template) -> bool:
-    """Whether the truth was made of this template; of an older one with other landmarks its order would mislead."""
-    return len(truth.true[0]) == SKIN and np.array_equal(order_of(template).landmarks68, truth.lm)
 
 
 def rims(template: Template, capture: Capture, cameras: Cameras, made: Neutral, vertices: np.ndarray) -> None:
@@ -177,19 +145,13 @@ def rims(template: Template, capture: Capture, cameras: Cameras, made: Neutral, 
             for p in frontal:
                 photo = placed.index[p]
                 scale = np.sqrt(MEGAPIXELS / np.prod(photos.size[photo]))
-                at = world[template.contours[contour]] @ placed.rotation[p].T + placed.translation[p]
-                line = np.asarray(placed.cameras[p].img_from_cam(at)) * scale
-                for mark in photos.landmarks[photo, list(chain)[1:-1], :2] * scale:
-                    off.append(to_line(mark, line))
+                at = world @ placed.rotation[p].T + placed.translation[p]
+                pixels = np.asarray(placed.cameras[p].img_from_cam(at)) * scale
+                marks = photos.landmarks[photo, list(chain)[1:-1], :2] * scale
+                off += contour_distance(marks, pixels, template, (contour,)).tolist()
         everything += off
         print(f"rims of {name:13s} {np.mean(off):.2f} px mean, {np.percentile(off, 90):.2f} px p90")
     print(f"rims of all           {np.mean(everything):.2f} px mean")
-
-
-def to_line(point: np.ndarray, line: np.ndarray) -> float:
-    step = np.diff(line, axis=0)
-    share = np.clip(((point - line[:-1]) * step).sum(axis=1) / np.maximum((step**2).sum(axis=1), 1e-12), 0, 1)
-    return float(np.linalg.norm(line[:-1] + share[:, None] * step - point, axis=1).min())
 
 
 def trials(

@@ -26,6 +26,7 @@ import sketch  # noqa: E402
 from parts import eyeball_radius  # noqa: E402
 
 from avatarbuild.template import ARKIT_NAMES, Template, template_folder  # noqa: E402
+from avatarbuild.template import expression_weights as weights  # noqa: E402
 
 HEADS, SEED = 100, 77
 DAMPING = 0.02  # of the identity fit: mm^2 of mean square distance that one squared standard deviation is worth, x 100
@@ -34,14 +35,6 @@ DAMPING = 0.02  # of the identity fit: mm^2 of mean square distance that one squ
 def random_heads(template: Template, count: int = HEADS) -> np.ndarray:
     """(count, p) coefficients, standard normal."""
     return np.random.default_rng(SEED).standard_normal((count, len(template.identity)))
-
-
-def weights(**named: float) -> np.ndarray:
-    w = np.zeros(52)
-    for name, value in named.items():
-        for full in (name,) if name in ARKIT_NAMES else (f"{name}Left", f"{name}Right"):
-            w[ARKIT_NAMES.index(full)] = value
-    return w
 
 
 def fit(template: Template) -> None:
@@ -269,7 +262,7 @@ def _landmark_errors(template: Template, spread: float, picture: Path | None) ->
         if not faces:
             continue
         points = template.landmarks(vertices)
-        k, r, t = sketch.camera(view)
+        k, r, t = sketch.pinhole(view)
         camera = points @ r.T + t
         pixels = camera[:, :2] / camera[:, 2:] * k[0, 0] + k[:2, 2]
         seen, _, _ = sketch.look(vertices, template.triangles, view)

@@ -22,6 +22,7 @@ from avatarbuild.solvers.held import solve_held
 from avatarbuild.solvers.sparse import Factor
 from avatarbuild.stages import blendshapes
 from avatarbuild.template import ARKIT_NAMES, Template
+from avatarbuild.template import expression_weights as weights
 from tests import synthetic
 
 SEEDS = (1, 2, 3, 4, 5)
@@ -46,14 +47,6 @@ def built(seed: int) -> Blendshapes:
 
 def itself(t: Template) -> Neutral:
     return replace(synthetic.neutral(1), vertices=t.mean, eye_centres=t.eye_centres)
-
-
-def weights(**named: float) -> np.ndarray:
-    w = np.zeros(52)
-    for name, value in named.items():
-        for full in (name,) if name in ARKIT_NAMES else (f"{name}Left", f"{name}Right"):
-            w[ARKIT_NAMES.index(full)] = value
-    return w
 
 
 # ---- the transfer's own numerics

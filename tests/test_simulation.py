@@ -9,6 +9,7 @@ import synthetic
 from avatarbuild.errors import InputError
 from avatarbuild.formats.images import photo_facts, read_photo
 from avatarbuild.formats.video import decode_frames
+from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.geometry.mipmap import build_mipmap
 from avatarbuild.simulation import truth
 from avatarbuild.simulation.capture import SimulationOptions, simulate
@@ -17,7 +18,7 @@ from avatarbuild.simulation.noise import cells, fractal, plane
 from avatarbuild.simulation.performance import perform
 from avatarbuild.simulation.photographs import sweep
 from avatarbuild.simulation.rendering import Skin, draw
-from avatarbuild.simulation.studio import vertex_normals, vertex_tangents
+from avatarbuild.simulation.studio import vertex_tangents
 from avatarbuild.simulation.subject import random_subject
 from avatarbuild.simulation.wrinkles import gains
 from avatarbuild.template import ARKIT_NAMES

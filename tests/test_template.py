@@ -8,6 +8,7 @@ import scipy.sparse as sp
 
 from avatarbuild.errors import InputError
 from avatarbuild.template import ARKIT_NAMES, CONTOUR_NAMES, REGION_NAMES, EyeRotation, Part, Template
+from avatarbuild.template import expression_weights as weights
 
 TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], np.int32)
 
@@ -47,13 +48,6 @@ def toy_template() -> Template:
         eye_rotations={"eyeLookUpLeft": EyeRotation("left", np.array([-1.0, 0, 0]), 90.0)},
         chart_distance=np.zeros((1024, 1024), np.float32),
     )
-
-
-def weights(**named: float) -> np.ndarray:
-    w = np.zeros(52)
-    for name, value in named.items():
-        w[ARKIT_NAMES.index(name)] = value
-    return w
 
 
 def test_evaluation_by_hand():

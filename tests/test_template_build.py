@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from avatarbuild.template import ARKIT_NAMES, PART_NAMES, Template, template_folder
+from avatarbuild.template import expression_weights as weights
 
 FOLDER = Path(__file__).resolve().parents[1] / "templates" / "head"
 
@@ -33,13 +34,6 @@ def builder():
 
 def heads(template: Template, count: int = 20) -> np.ndarray:
     return np.random.default_rng(1).standard_normal((count, len(template.identity)))
-
-
-def weights(**named: float) -> np.ndarray:
-    w = np.zeros(52)
-    for name, value in named.items():
-        w[ARKIT_NAMES.index(name)] = value
-    return w
 
 
 def test_size_and_parts(head):

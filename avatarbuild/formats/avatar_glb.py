@@ -25,22 +25,21 @@ EYES = ("eye_left", "eye_right")
 
 @dataclass(frozen=True)
 class Look:
-    """What a surface looks like: sRGB colour where no picture says it, and roughness."""
+    """The name of a material, and its roughness."""
 
     name: str
-    colour: tuple[float, float, float]
     roughness: float
 
 
 # Wet surfaces are smoother than skin; the cornea mirrors windows.
 LOOKS = {
-    "skin": Look("skin", (0.78, 0.6, 0.51), 0.5),
-    "eye_left": Look("eye", (0.9, 0.88, 0.86), 0.08),
-    "eye_right": Look("eye", (0.9, 0.88, 0.86), 0.08),
-    "teeth_upper": Look("teeth", (0.89, 0.85, 0.76), 0.22),
-    "teeth_lower": Look("teeth", (0.89, 0.85, 0.76), 0.22),
-    "gums": Look("gums", (0.72, 0.4, 0.39), 0.3),
-    "tongue": Look("tongue", (0.74, 0.4, 0.4), 0.4),
+    "skin": Look("skin", 0.5),
+    "eye_left": Look("eye", 0.08),
+    "eye_right": Look("eye", 0.08),
+    "teeth_upper": Look("teeth", 0.22),
+    "teeth_lower": Look("teeth", 0.22),
+    "gums": Look("gums", 0.3),
+    "tongue": Look("tongue", 0.4),
 }
 
 
@@ -65,10 +64,10 @@ class Pictures:
     R, of the skin. The eye's fills the square of its own UV and serves both eyes.
     """
 
-    eye: bytes | None = None
-    albedo: bytes | None = None
-    normal: bytes | None = None
-    occlusion: bytes | None = None
+    eye: bytes
+    albedo: bytes
+    normal: bytes
+    occlusion: bytes
 
 
 @dataclass(frozen=True)
@@ -119,12 +118,6 @@ def part_uv(template: Template, part: str) -> np.ndarray:
     return np.clip((template.uv - low) / np.maximum(high - low, 1e-12), 0, 1)
 
 
-def linear(colour: np.ndarray) -> np.ndarray:
-    """Linear light of sRGB values in 0..1."""
-    c = np.asarray(colour, np.float64)
-    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
-
-
 def write(template: Template, rig: Rig, pictures: Pictures, extras: dict[str, Any]) -> Made:
     """avatar.glb of a rig in the template's topology; `extras` are added to the file's own."""
     writer = Writer(f"avatarbuild {__version__}")
@@ -149,10 +142,9 @@ def write(template: Template, rig: Rig, pictures: Pictures, extras: dict[str, An
         attributes = {
             "POSITION": writer.attribute((rig.neutral[v] - centre)[split.sources] * METRES, bounds=True),
             "NORMAL": writer.attribute(normals[v][split.sources]),
+            "TEXCOORD_0": writer.attribute(np.stack([split.uv[:, 0], 1 - split.uv[:, 1]], axis=1)),
         }
-        if part == "skin" or eye is not None or pictures.albedo is not None:
-            attributes["TEXCOORD_0"] = writer.attribute(np.stack([split.uv[:, 0], 1 - split.uv[:, 1]], axis=1))
-        if part == "skin" and pictures.normal is not None:
+        if part == "skin":
             # the map was made in these tangents; without them a viewer guesses, and the validator warns
             turned = vertex_tangents(
                 rig.neutral[v][split.sources], normals[v][split.sources], split.uv, split.triangles
@@ -250,24 +242,23 @@ def _targets(
 
 
 def _materials(writer: Writer, template: Template, pictures: Pictures) -> dict[str, int]:
-    """Part -> material. With an albedo, all parts but the eyes take their colour from it."""
-    albedo = None if pictures.albedo is None else writer.texture(pictures.albedo, "albedo")
-    eye = None if pictures.eye is None else writer.texture(pictures.eye, "eye")
+    """Part -> material. All parts but the eyes take their colour from the albedo."""
+    albedo, eye = writer.texture(pictures.albedo, "albedo"), writer.texture(pictures.eye, "eye")
     made: dict[str, int] = {}
     of_look: dict[str, int] = {}
     for part in template.parts:
         look = LOOKS[part]
         if look.name not in of_look:
-            texture = eye if part in EYES else albedo
-            surface: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": look.roughness}
-            if texture is not None:
-                surface["baseColorTexture"] = {"index": texture}
-            else:
-                surface["baseColorFactor"] = [*np.round(linear(np.asarray(look.colour)), 6).tolist(), 1.0]
-            material: dict[str, Any] = {"name": look.name, "pbrMetallicRoughness": surface}
-            if part == "skin" and pictures.normal is not None:
+            material: dict[str, Any] = {
+                "name": look.name,
+                "pbrMetallicRoughness": {
+                    "baseColorTexture": {"index": eye if part in EYES else albedo},
+                    "metallicFactor": 0.0,
+                    "roughnessFactor": look.roughness,
+                },
+            }
+            if part == "skin":
                 material["normalTexture"] = {"index": writer.texture(pictures.normal, "normal")}
-            if part == "skin" and pictures.occlusion is not None:
                 material["occlusionTexture"] = {"index": writer.texture(pictures.occlusion, "occlusion")}
             of_look[look.name] = writer.add("materials", material)
         made[part] = of_look[look.name]

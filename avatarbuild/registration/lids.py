@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from avatarbuild.geometry import meshes
+from avatarbuild.geometry.rings import rings
 from avatarbuild.registration.eye_shape import EYES, EyeShape, eye_shape, offsets
 from avatarbuild.solvers.sparse import Factor
 from avatarbuild.template import Template
@@ -79,7 +80,9 @@ def _lid_bands(key: _Same) -> tuple[LidBand, LidBand]:
         )
         r, _, cosine = offsets(points, template.eye_centres[k], np.array([0.0, 0.0, 1.0]))
         gap = r - shape.surface(cosine, shape.radius)
-        ring = _rings(graph, rim, _inside(graph, rim, r))
+        ring = rings(graph, rim, OUTER)
+        ring[ring > OUTER] = FAR
+        ring[_inside(graph, rim, r)] = -1
         near = (np.abs(gap) < TOUCHING) & (ring <= 0)
         band = triangles[(ring[triangles] < OUTER).all(axis=1)]
         bands.append(LidBand(ring, gap, np.flatnonzero(near), band))
@@ -99,15 +102,6 @@ def _inside(graph: sp.csr_matrix, rim: np.ndarray, distance: np.ndarray) -> np.n
         if one != largest:
             inside[kept[label == one]] = True
     return inside & (distance < 40.0)
-
-
-def _rings(graph: sp.csr_matrix, rim: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    ring = np.full(graph.shape[0], FAR)
-    ring[rim] = 0
-    for k in range(1, OUTER + 1):
-        ring[((graph @ (ring == k - 1)) > 0) & (ring == FAR) & ~inside] = k
-    ring[inside] = -1
-    return ring
 
 
 def settle_lids(

@@ -13,7 +13,7 @@ from avatarbuild.geometry.meshes import adjacency
 from avatarbuild.geometry.mipmap import build_mipmap
 from avatarbuild.report.rendering import Decal, Paint, View, draw
 from avatarbuild.report.shading import Light, decode_srgb
-from avatarbuild.template import ARKIT_NAMES, Template
+from avatarbuild.template import Template, expression_weights
 
 # sRGB, as they look
 SKIN, LIP, BROW = (0.80, 0.64, 0.56), (0.69, 0.43, 0.40), (0.30, 0.23, 0.19)
@@ -43,9 +43,7 @@ class Figure:
 
     def posed(self, weights: dict[str, float]) -> np.ndarray:
         """(n', 3): neutral + sum_j w_j deltas_j, eyeballs turned, refined."""
-        w = np.zeros(len(ARKIT_NAMES))
-        for name, value in weights.items():
-            w[ARKIT_NAMES.index(name)] = value
+        w = expression_weights(**weights)
         x = np.asarray(self.blendshapes.neutral, np.float64).copy()
         for j in np.flatnonzero(w):
             x += w[j] * self.blendshapes.deltas[j]

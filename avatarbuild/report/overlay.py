@@ -11,6 +11,7 @@ import pycolmap
 from avatarbuild.artefacts import Cameras, Capture, Neutral
 from avatarbuild.geometry.meshes import face_vectors
 from avatarbuild.geometry.raster import rasterise
+from avatarbuild.sfm.metric import placed_photos
 from avatarbuild.template import Template
 
 WIRE, LIDS, LIPS, BROWS, OUTLINE, DETECTED = (
@@ -68,20 +69,15 @@ class Lines(NamedTuple):
 
 def shots(capture: Capture, cameras: Cameras, neutral: Neutral) -> list[Shot]:
     """The placed photos, in the capture's order."""
-    model = cameras.model
-    images = {model.images[i].name: model.images[i] for i in model.reg_image_ids()}
+    placed = placed_photos(cameras.model, [f"{name}.jpg" for name in capture.photos.names])
     turn, shift = neutral.head_from_cloud[:3, :3], neutral.head_from_cloud[:3, 3]
     found = []
-    for i, name in enumerate(capture.photos.names):
-        image = images.get(f"{name}.jpg")
-        if image is None:
-            continue
-        pose = image.cam_from_world().matrix()
-        rotation = pose[:, :3] @ turn.T
-        translation = pose[:, 3] - rotation @ shift
+    for i, camera, R, t in zip(placed.index, placed.cameras, placed.rotation, placed.translation, strict=True):
+        rotation = R @ turn.T
+        translation = t - rotation @ shift
         x, y, z = -rotation.T @ translation
         yaw, pitch = np.degrees([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))])
-        found.append(Shot(i, model.cameras[image.camera_id], rotation, translation, float(yaw), float(pitch)))
+        found.append(Shot(int(i), camera, rotation, translation, float(yaw), float(pitch)))
     return found
 
 

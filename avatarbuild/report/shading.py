@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from avatarbuild.formats.colour import linear_from_srgb, srgb_from_linear
+
 _REACH = 11.0  # mm: surfaces nearer than this darken one another
 _TAPS = 6  # directions that a pixel looks for them; its four neighbours look in others
 _OCCLUSION, _DARKEST = 0.95, 0.25
@@ -60,14 +62,12 @@ def occlusion(depth: np.ndarray, normals: np.ndarray, focal: float) -> np.ndarra
 def decode_srgb(value: np.ndarray | Sequence[float]) -> np.ndarray:
     """Linear light of sRGB values: uint8 in 0..255, floats in 0..1."""
     array = np.asarray(value)
-    v = array / 255.0 if array.dtype == np.uint8 else array.astype(np.float64)
-    return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
+    return linear_from_srgb(array / 255.0 if array.dtype == np.uint8 else array)
 
 
 def encode_srgb(linear: np.ndarray) -> np.ndarray:
     """uint8 sRGB of linear light, clipped to 0..1."""
-    v = np.clip(linear, 0, 1)
-    return np.round(255 * np.where(v <= 0.0031308, 12.92 * v, 1.055 * v ** (1 / 2.4) - 0.055)).astype(np.uint8)
+    return np.round(255 * srgb_from_linear(np.clip(linear, 0, 1))).astype(np.uint8)
 
 
 @numba.njit(cache=True, parallel=True, error_model="numpy")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.geometry.mipmap import Mipmap, build_mipmap
 from avatarbuild.simulation import wrinkles as folding
 from avatarbuild.simulation.chart import Chart, chart_of
@@ -186,12 +187,6 @@ def posed_head(head: Head, weights: np.ndarray, pose: np.ndarray | None = None) 
         head.drawn,
         build_mipmap(detail) if detail.any() else None,
     )
-
-
-def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(n, 3) unit: the area-weighted mean of the faces' normals."""
-    a, b, c = np.moveaxis(vertices[triangles], 1, 0)
-    return _gathered(np.cross(b - a, c - a), triangles, len(vertices))
 
 
 def vertex_tangents(vertices: np.ndarray, template: Template) -> np.ndarray:

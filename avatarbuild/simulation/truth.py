@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from avatarbuild.formats.colour import srgb_from_linear
+from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.geometry.mipmap import sample_texture
 from avatarbuild.geometry.raster import Raster, interpolate, rasterise
 from avatarbuild.simulation.chart import Chart
@@ -23,7 +24,7 @@ from avatarbuild.simulation.light import Light
 from avatarbuild.simulation.performance import Performance
 from avatarbuild.simulation.photographs import Shot
 from avatarbuild.simulation.rendering import Camera, Skin
-from avatarbuild.simulation.studio import Head, vertex_normals
+from avatarbuild.simulation.studio import Head
 from avatarbuild.simulation.subject import Subject
 from avatarbuild.simulation.wrinkles import GROUPS, gains
 from avatarbuild.template import Template

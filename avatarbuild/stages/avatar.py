@@ -99,7 +99,7 @@ def provenance(
             "template": {"name": template.name, "version": template.version},
         },
         "capture": {
-            "digest": getattr(capture, "digest", "") or None,
+            "digest": capture.digest or None,
             "photos": capture.photos.files,
             "video": None if capture.clip is None else capture.clip.file,
             "frontal": frontal,

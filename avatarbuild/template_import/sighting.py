@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.geometry.raster import project, rasterise
 from avatarbuild.landmarks import POINTS, find_faces
 
@@ -44,16 +45,6 @@ def sight(vertices: np.ndarray, triangles: np.ndarray, skin: np.ndarray) -> Sigh
     points = np.zeros((POINTS, 3))
     points[seen] = np.nanmedian(found[:, seen], axis=0)
     return Sighting(points, seen)
-
-
-def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(v, 3) unit normals, each triangle weighted by its area."""
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    face = np.cross(b - a, c - a)
-    normals = np.stack(
-        [np.bincount(triangles.ravel(), np.repeat(face[:, k], 3), len(vertices)) for k in range(3)], axis=1
-    )
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
 
 
 def _view(vertices, triangles, skin, normals, centre, yaw) -> np.ndarray:

@@ -13,10 +13,11 @@ from cholespy import CholeskySolverD, MatrixType
 from scipy.spatial import cKDTree
 
 from avatarbuild.errors import InputError
+from avatarbuild.geometry import meshes
 from avatarbuild.geometry.similarity import similarity
 from avatarbuild.template import Template
 from avatarbuild.template_import.foreign import ForeignHead
-from avatarbuild.template_import.sighting import sight, vertex_normals
+from avatarbuild.template_import.sighting import sight
 
 log = logging.getLogger(__name__)
 
@@ -144,7 +145,7 @@ def wrap(template: Template, head: ForeignHead) -> Wrap:
     rows, known = sp.csr_matrix((len(rest), len(mean))), np.zeros(len(rest), bool)
     carry = extension(template)
     outward = _outward(start, triangles, mean, outer)
-    border = _border(len(mean), outer)
+    border = meshes.border(len(mean), outer)
     for stiffness, reach, trust in SCHEDULE:
         for _ in range(ROUNDS):
             rows, known = _counterparts(start + d, triangles, mean, outer, outward, border, reach)
@@ -219,7 +220,7 @@ def _agreeing(own: np.ndarray, target: np.ndarray, common: np.ndarray) -> np.nda
 def _counterparts(moved, triangles, mean, outer, outward, border, reach) -> tuple[sp.csr_matrix, np.ndarray]:
     """Rows (n, v) of the closest points, and (n,) bool: within reach, facing alike, not on the foreign border."""
     rows, face, apart = attach(moved, mean, outer)
-    alike = np.einsum("ij,ij->i", vertex_normals(moved, triangles), outward[face])
+    alike = np.einsum("ij,ij->i", meshes.vertex_normals(moved, triangles), outward[face])
     at_border = rows @ border > 0.02
     return rows, (apart < reach) & (alike > LEAST_AGREEMENT) & ~at_border
 
@@ -230,7 +231,7 @@ def _outward(start, triangles, mean, outer) -> np.ndarray:
     normals = np.cross(b - a, c - a)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     _, face, apart = attach(start, mean, outer)
-    agree = np.einsum("ij,ij->i", vertex_normals(start, triangles), normals[face])
+    agree = np.einsum("ij,ij->i", meshes.vertex_normals(start, triangles), normals[face])
     return normals if np.median(agree[apart <= np.median(apart)]) >= 0 else -normals
 
 
@@ -244,16 +245,6 @@ def _folded(rest: np.ndarray, moved: np.ndarray, triangles: np.ndarray) -> np.nd
     folded = np.zeros(len(rest), bool)
     folded[triangles[np.einsum("ij,ij->i", *normals) < LEAST_UPRIGHT]] = True
     return folded
-
-
-def _border(n: int, triangles: np.ndarray) -> np.ndarray:
-    """(n,) float: 1 at the vertices of edges that one triangle has."""
-    edges, count = np.unique(
-        np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0, return_counts=True
-    )
-    border = np.zeros(n)
-    border[edges[count == 1]] = 1
-    return border
 
 
 def _differences(pairs: np.ndarray, n: int) -> sp.csr_matrix:

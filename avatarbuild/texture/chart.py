@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
+from avatarbuild.geometry.meshes import face_vectors
 from avatarbuild.geometry.raster import interpolate, rasterise
 from avatarbuild.template import Template
 
@@ -81,3 +83,26 @@ def seam_ties(template: Template, chart: Chart) -> np.ndarray:
     ties = np.unique(np.concatenate(found), axis=0)
     on_skin = (chart.part.reshape(-1)[ties] == 1).all(axis=1)
     return ties[on_skin & (ties[:, 0] != ties[:, 1])]
+
+
+def texels_per_mm(template: Template, vertices: np.ndarray, size: int) -> float:
+    """Median over the face of a head (n, 3) of the length of a millimetre, in texels of a chart of size x size."""
+    face = template.regions["face"][template.triangles].all(axis=1)
+    surface = np.linalg.norm(face_vectors(vertices, template.triangles[face]), axis=1)
+    p, q, r = np.moveaxis(template.uv[template.uv_triangles[face]] * size, 1, 0)
+    flat = np.abs((q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0])
+    return float(np.median(np.sqrt(flat / np.maximum(surface, 1e-9))))
+
+
+def continued(image: np.ndarray, known: np.ndarray, reach: float = np.inf) -> np.ndarray:
+    """The image (h, w, c) with the nearest known texel's value within `reach` texels of the known (h, w) bool ones."""
+    distance, label = cv2.distanceTransformWithLabels(
+        (~known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    inside = np.flatnonzero(known)
+    source = np.zeros(int(label.max()) + 1, np.int64)
+    source[label.reshape(-1)[inside]] = inside
+    near = ~known & (distance <= reach)
+    out = image.copy()
+    out[near] = image.reshape(-1, image.shape[2])[source[label[near]]]
+    return out

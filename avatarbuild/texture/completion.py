@@ -20,7 +20,7 @@ import scipy.sparse as sp
 
 from avatarbuild.solvers.sparse import Factor
 from avatarbuild.template import Template
-from avatarbuild.texture.chart import draw_chart, seam_ties
+from avatarbuild.texture.chart import continued, draw_chart, seam_ties, texels_per_mm
 
 _COARSE = 256  # texels of u's grid
 _SEEN_LOW, _SEEN_HIGH = 0.25, 0.5  # of `seen`: nothing below, all above
@@ -51,7 +51,7 @@ def complete(
     size = albedo.shape[0]
     chart = draw_chart(template, template.uv, template.uv_triangles, size)
     skin = chart.part == 1
-    scale = texels_per_mm(template) * size
+    scale = texels_per_mm(template, template.mean, size)
     hidden = chart.field(
         (template.regions["mouth"] | template.regions["sockets"]).astype(np.float32), template.triangles
     )
@@ -71,17 +71,7 @@ def complete(
         out[at] = np.exp(w * own + (1 - w) * new)
     if eye_texture is not None:
         _lay_eyes(out, eye_texture, template, chart.part)
-    return _padded(np.clip(out, 0.0, 1.0), chart.part > 0, round(max(8, size / 128)))
-
-
-def texels_per_mm(template: Template) -> float:
-    """Median over the face of the length of a millimetre, in sides of the texture."""
-    face = template.regions["face"][template.triangles].all(axis=1)
-    a, b, c = np.moveaxis(template.mean[template.triangles[face]], 1, 0)
-    p, q, r = np.moveaxis(template.uv[template.uv_triangles[face]], 1, 0)
-    surface = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    chart = np.abs((q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0])
-    return float(np.median(np.sqrt(chart / np.maximum(surface, 1e-9))))
+    return continued(np.clip(out, 0.0, 1.0), chart.part > 0, round(max(8, size / 128)))
 
 
 def _weight(seen: np.ndarray, skin: np.ndarray, scale: float) -> np.ndarray:
@@ -138,7 +128,7 @@ def _offset(
     right = w[:, None] * np.where(held[mask][:, None] > 0, difference[mask], 0) + pull * typical
     u = np.zeros((g, g, 3), np.float32)
     u[mask] = Factor(matrix).solve(right)
-    return cv2.resize(_padded(u, mask, g), (size, size), interpolation=cv2.INTER_LINEAR)
+    return cv2.resize(continued(u, mask, g), (size, size), interpolation=cv2.INTER_LINEAR)
 
 
 def _laid_out(albedo: np.ndarray, weight: np.ndarray, skin: np.ndarray, hidden: np.ndarray, scale: float) -> np.ndarray:
@@ -221,17 +211,3 @@ def _lay_eyes(out: np.ndarray, eye: np.ndarray, template: Template, part: np.nda
         image = cv2.remap(source, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         on = part[top:bottom, left:right] == k + 1
         out[top:bottom, left:right][on] = image[on]
-
-
-def _padded(image: np.ndarray, known: np.ndarray, reach: int) -> np.ndarray:
-    """The image with the nearest known texel's colour within `reach` texels of the known ones, as it is elsewhere."""
-    distance, label = cv2.distanceTransformWithLabels(
-        (~known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    inside = np.flatnonzero(known)
-    source = np.zeros(int(label.max()) + 1, np.int64)
-    source[label.reshape(-1)[inside]] = inside
-    near = ~known & (distance <= reach)
-    out = image.copy()
-    out[near] = image.reshape(-1, image.shape[2])[source[label[near]]]
-    return out

@@ -28,7 +28,7 @@ from avatarbuild.geometry.meshes import edges as mesh_edges
 from avatarbuild.solvers.poisson import Grid, divergence
 from avatarbuild.template import Template
 from avatarbuild.texture.borders import border_pairs, correct, texel_labels
-from avatarbuild.texture.chart import Chart, draw_chart, seam_ties
+from avatarbuild.texture.chart import Chart, draw_chart, seam_ties, texels_per_mm
 from avatarbuild.texture.consensus import averaged, trimmed
 from avatarbuild.texture.fused import Fused
 from avatarbuild.texture.gains import photo_gains
@@ -259,13 +259,3 @@ def split_ties(ties: np.ndarray, label: np.ndarray) -> np.ndarray:
     """Those ties (l, 2) whose two texels show different photos."""
     found = label.reshape(-1)[ties]
     return ties[(found >= 0).all(axis=1) & (found[:, 0] != found[:, 1])]
-
-
-def texels_per_mm(template: Template, vertices: np.ndarray, size: int) -> float:
-    """Of the chart at size x size texels, where the face is."""
-    face = template.regions["face"][template.triangles].all(axis=1)
-    a, b, c = (vertices[template.triangles[face, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    u, v, w = (template.uv[template.uv_triangles[face, k]] * size for k in range(3))
-    flat = np.abs((v - u)[:, 0] * (w - u)[:, 1] - (v - u)[:, 1] * (w - u)[:, 0])
-    return float(np.median(np.sqrt(flat / np.maximum(area, 1e-9))))

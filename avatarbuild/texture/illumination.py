@@ -8,6 +8,7 @@ rays; the paper has a = 1 and b = n. First y with d = 0 and r the skin's constan
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,10 +18,11 @@ import numpy as np
 from avatarbuild.artefacts import Neutral
 from avatarbuild.energies import harmonics
 from avatarbuild.geometry.meshes import vertex_areas, vertex_normals
+from avatarbuild.registration.eye_painting import WHITE
 from avatarbuild.solvers import smooth_field
 from avatarbuild.template import Template
 from avatarbuild.texture import occlusion, skin_tone
-from avatarbuild.texture.chart import Chart, draw_chart
+from avatarbuild.texture.chart import Chart, continued, draw_chart, texels_per_mm
 from avatarbuild.texture.fused import Fused
 
 _GRID = 1024  # texels of the light's own map at most; what it holds is smooth
@@ -29,6 +31,7 @@ _LEAST = 0.15  # of the mean light, the least that reaches any place of the skin
 _DOUBTFUL = 0.5  # weight in the second stage of a texel of the face whose colour is not the skin's
 _DIM = 0.3  # of the mean light: below this, errors count absolutely again
 _TINY = 1e-6
+_BESIDE = (36.0, 42.0, 48.0)  # degrees from the gaze: where the white shows beside the iris
 
 
 @dataclass(frozen=True)
@@ -95,9 +98,29 @@ class Hidden(NamedTuple):
         return b / np.maximum(np.linalg.norm(b, axis=1, keepdims=True), 1e-9)
 
 
-def factor(fused: Fused, template: Template, neutral: Neutral, options: LightWeights | None = None) -> Light:
-    """The light and the albedo of a fused texture: equations (1)–(3) above; the mean light on the skin seen is that
-    of `skin_tone.divide`, the rest of the ambiguity between a brighter light and a brighter skin is not decidable."""
+class Card(NamedTuple):
+    """The white of an eye as a grey card: colour (3,) as the fused texture would show it, openness (k,) and mean open
+    directions (k, 3) of places on it."""
+
+    colour: np.ndarray
+    open: np.ndarray
+    bent: np.ndarray
+
+
+def factor(
+    fused: Fused,
+    template: Template,
+    neutral: Neutral,
+    options: LightWeights | None = None,
+    whites: Sequence[tuple[int, np.ndarray]] = (),
+) -> Light:
+    """
+    The light and the albedo of a fused texture: equations (1)–(3) above.
+
+    The mean light on the skin seen is that of `skin_tone.divide`. whites: eye (0 left, 1 right) and colour (3,) of its
+    white, with the photo's gain; they bound the light from below. The rest of the ambiguity between a brighter light
+    and a brighter skin is not decidable.
+    """
     o = LightWeights() if options is None else options
     size = fused.colour.shape[0]
     grid = min(size, _GRID)
@@ -106,13 +129,14 @@ def factor(fused: Fused, template: Template, neutral: Neutral, options: LightWei
     normals = vertex_normals(neutral.vertices, template.triangles)
     open_, towards = occlusion.of_vertices(neutral.vertices, template.triangles, template.parts["skin"].vertices)
     hidden = Hidden(open_, normals, towards)
+    cards = _cards(template, neutral, whites)
     plain = _plain_skin(template, chart) * seen
     mean = _mean(matt, plain)
     lit = np.ones_like(matt)
     for _ in range(2):
         # whether a texel has the skin's colour shows once its light is known
         own = plain * _alike(matt / lit, plain, template, chart)
-        y, r, a, bent = _harmonics(template, neutral, chart, matt, own, hidden, mean, o)
+        y, r, a, bent = _harmonics(template, neutral, chart, matt, own, hidden, mean, cards, o)
         lit = _shading_map(template, chart, a, bent, y)
         # nine numbers undershoot where little light arrives; no place of a room is black
         lit = np.maximum(lit, _LEAST * lit[own > 0].mean(axis=0) if (own > 0).any() else _TINY)
@@ -121,13 +145,13 @@ def factor(fused: Fused, template: Template, neutral: Neutral, options: LightWei
     plain = np.maximum(own, _DOUBTFUL * plain * (face > 0.5))
     field = None
     if o.field:
-        field = _field(matt, lit, plain, r, _texels_per_mm(template, neutral.vertices), o)
+        field = _field(matt, lit, plain, r, texels_per_mm(template, neutral.vertices, 1), o)
         lit = lit + _resized(field, grid)
     lit = np.maximum(lit, _LEAST * lit[plain > 0].mean(axis=0) if (plain > 0).any() else _TINY)
     lit = _at_least(lit, matt, seen, r, o.brightest)
     skin = _resized(_skin(matt / lit, r, template, chart)[..., None], size)
     inside = chart.part == 1
-    lit = _continued(lit.astype(np.float32), inside)
+    lit = continued(lit.astype(np.float32), inside)
     shading = _resized(lit, size)
     albedo = _without_highlights(fused, matt, seen, size)
     np.divide(albedo, np.maximum(shading, _TINY), out=albedo)
@@ -165,7 +189,7 @@ def _without_highlights(fused: Fused, matt: np.ndarray, seen: np.ndarray, size: 
     grid = matt.shape[0]
     low_size = cv2.resize(fused.colour, (grid, grid), interpolation=cv2.INTER_AREA)
     excess: np.ndarray = np.where((seen > 0)[..., None], np.maximum(low_size - matt, 0), 0).astype(np.float32)
-    excess = cv2.GaussianBlur(_continued(excess, seen > 0), (0, 0), 2.0 * grid / 1024)
+    excess = cv2.GaussianBlur(continued(excess, seen > 0), (0, 0), 2.0 * grid / 1024)
     return np.maximum(fused.colour - _resized(excess, size), 0.3 * fused.colour)
 
 
@@ -223,6 +247,7 @@ def _harmonics(
     plain: np.ndarray,
     hidden: Hidden,
     mean: np.ndarray,
+    cards: list[Card],
     o: LightWeights,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """y (9, 3), r (3,), the light's share a (n, 3) and its direction b (n, 3), by alternation, since a depends on r by
@@ -243,13 +268,41 @@ def _harmonics(
         share = weight / weight.sum()
         middle = share @ lit
         # the colour of the skin under the mean light decides between skin and light
-        new = skin_tone.divide(r * middle)[0]
+        new = skin_tone.divide(r * middle, _least_light(cards, y, r, middle))[0]
         y, lit, r = y * (r / new), lit * (r / new), new
         weight = weight * _near(colour, r * lit, o.outlier)
         # albedo is a ratio: errors count as shares of the light that is there
         bright = lit.mean(axis=1)
         relative = 1 / np.maximum(bright / (share @ bright), _DIM)
     return y, r, a, bent
+
+
+def _cards(template: Template, neutral: Neutral, whites: Sequence[tuple[int, np.ndarray]]) -> list[Card]:
+    """The whites of each eye, by the median photo, at places beside the iris."""
+    side, up = np.meshgrid(np.radians([*_BESIDE, *(-angle for angle in _BESIDE)]), np.radians([-8.0, 8.0]))
+    towards = np.stack([np.sin(side) * np.cos(up), np.sin(up), np.cos(side) * np.cos(up)], axis=-1).reshape(-1, 3)
+    cards = []
+    for eye in range(2):
+        seen = [colour for which, colour in whites if which == eye]
+        if seen:
+            places = neutral.eye_centres[eye] + neutral.eye_radius[eye] * towards
+            cards.append(
+                Card(
+                    np.median(seen, axis=0),
+                    *occlusion.ambient(neutral.vertices, template.triangles, places, towards),
+                )
+            )
+    return cards
+
+
+def _least_light(cards: list[Card], y: np.ndarray, r: np.ndarray, middle: np.ndarray) -> float:
+    """Log luminance of the mean light on the skin by the whites, if these are as white as they can be; -inf: none."""
+    told = []
+    for card in cards:
+        lit = (occlusion.between_skin(card.open, r) * harmonics.shading(card.bent, y)).mean(axis=0)
+        if (lit > 0).all() and (card.colour > 0).all():
+            told.append(skin_tone.LUMINANCE @ np.log(card.colour * middle / (WHITE * lit)))
+    return float(np.mean(told)) if told else -np.inf
 
 
 def _near(colour: np.ndarray, expected: np.ndarray, limit: float) -> np.ndarray:
@@ -357,27 +410,6 @@ def _at_least(lit: np.ndarray, matt: np.ndarray, seen: np.ndarray, r: np.ndarray
     # what is missing has the mean light's own tint: nine numbers tell little of it in the dark
     tint = lit[seen > 0].mean(axis=0) if (seen > 0).any() else np.ones(3)
     return lit + np.maximum(bright - mean, 0)[..., None] * (tint / tint.mean())
-
-
-def _texels_per_mm(template: Template, vertices: np.ndarray) -> float:
-    """Median over the face of the texture's length of a millimetre, in sides of the texture."""
-    face = template.regions["face"][template.triangles].all(axis=1)
-    a, b, c = np.moveaxis(vertices[template.triangles[face]], 1, 0)
-    p, q, r = np.moveaxis(template.uv[template.uv_triangles[face]], 1, 0)
-    surface = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    chart = np.abs((q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0])
-    return float(np.median(np.sqrt(chart / np.maximum(surface, 1e-9))))
-
-
-def _continued(image: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """The image (g, g, c) beyond `known`: the nearest known texel's value."""
-    _, label = cv2.distanceTransformWithLabels(
-        (~known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    rows, columns = np.nonzero(known)
-    source = np.zeros(int(label.max()) + 1, np.int64)
-    source[label[rows, columns]] = rows * known.shape[1] + columns
-    return image.reshape(-1, image.shape[2])[source[label]]
 
 
 def _resized(image: np.ndarray, size: int) -> np.ndarray:

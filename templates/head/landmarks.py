@@ -13,7 +13,7 @@ import cv2
 import igl
 import numpy as np
 from scipy.spatial import cKDTree
-from sketch import View, camera, draw, look, vertex_normals
+from sketch import View, draw, look, pinhole, vertex_normals
 
 HEADS, SEED = 240, 5
 YAW, PITCH = 45.0, 8.0  # degrees to either side
@@ -85,7 +85,7 @@ def find(template, colours: np.ndarray, mirror478: np.ndarray) -> np.ndarray:
         places.append(point)
         weights.append(weight)
         _, pixels, _ = look(vertices, template.triangles, view)
-        toward = (np.array(camera(view)[1]).T @ -camera(view)[2]) - vertices
+        toward = (np.array(pinhole(view)[1]).T @ -pinhole(view)[2]) - vertices
         toward /= np.linalg.norm(toward, axis=1, keepdims=True)
         facing = np.einsum("ni,ni->n", vertex_normals(vertices, template.triangles), toward)
         sightings.append(
@@ -169,7 +169,7 @@ def _carry(
     normal = np.cross(
         vertices[triangle[:, 1]] - vertices[triangle[:, 0]], vertices[triangle[:, 2]] - vertices[triangle[:, 0]]
     )
-    _, r, _ = camera(view)
+    _, r, _ = pinhole(view)
     facing = -(normal @ r.T)[:, 2] / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
     return place, np.where((facing > 0.25) & (distance[y, x] < 12), facing**2 / (1 + distance[y, x]), 0)
 

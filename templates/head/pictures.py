@@ -14,17 +14,10 @@ from sketch import View, draw, look, paint, sheet  # noqa: E402
 
 from avatarbuild.geometry.raster import interpolate  # noqa: E402
 from avatarbuild.template import ARKIT_NAMES, Template  # noqa: E402
+from avatarbuild.template import expression_weights as weights  # noqa: E402
 
 EYE = {"size": (420, 200), "height": 45.0, "distance": 600.0}
 MOUTH = {"size": (400, 300), "height": 80.0, "distance": 600.0}
-
-
-def weights(**named: float) -> np.ndarray:
-    w = np.zeros(52)
-    for name, value in named.items():
-        for full in (name,) if name in ARKIT_NAMES else (f"{name}Left", f"{name}Right"):
-            w[ARKIT_NAMES.index(full)] = value
-    return w
 
 
 def neutral(t: Template, colours: np.ndarray) -> np.ndarray:

@@ -2,43 +2,19 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from avatarbuild.geometry.raster import box_average, interpolate, project, rasterise
+from avatarbuild.report.rendering import View, pinhole
 
 SKIN, LIP, BROW = (0.80, 0.62, 0.54), (0.68, 0.38, 0.36), (0.26, 0.19, 0.15)
 WHITE, IRIS, PUPIL = (0.93, 0.92, 0.90), (0.36, 0.22, 0.12), (0.03, 0.03, 0.03)
 TOOTH, GUM, TONGUE, INSIDE = (0.93, 0.89, 0.80), (0.72, 0.36, 0.36), (0.72, 0.38, 0.38), (0.34, 0.12, 0.12)
 
 
-class View(NamedTuple):
-    """A camera that looks at `centre` (3,) from `distance` mm, turned by yaw and pitch degrees; `height` mm fill it."""
-
-    yaw: float = 0.0
-    pitch: float = 0.0
-    size: tuple[int, int] = (480, 560)
-    height: float = 330.0
-    centre: tuple[float, float, float] = (0.0, -15.0, -20.0)
-    distance: float = 1400.0
-
-
-def camera(view: View, factor: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """K (3, 3), R (3, 3), t (3,) of a view, pixel centres at +0.5; positive yaw shows the subject's left side."""
-    w, h = view.size[0] * factor, view.size[1] * factor
-    f = h * view.distance / view.height
-    y, p = np.radians([view.yaw, view.pitch])
-    turn_y = np.array([[np.cos(y), 0, -np.sin(y)], [0, 1, 0], [np.sin(y), 0, np.cos(y)]])
-    turn_x = np.array([[1, 0, 0], [0, np.cos(p), -np.sin(p)], [0, np.sin(p), np.cos(p)]])
-    to_camera = np.diag([1.0, -1.0, -1.0]) @ turn_x @ turn_y
-    t = np.array([0, 0, view.distance]) - to_camera @ np.array(view.centre)
-    return np.array([[f, 0, w / 2], [0, f, h / 2], [0, 0, 1.0]]), to_camera, t
-
-
 def look(vertices: np.ndarray, triangles: np.ndarray, view: View, factor: int = 1):
     """The raster of a view and the pixels (n, 2) and depths (n,) of the vertices."""
-    k, r, t = camera(view, factor)
+    k, r, t = pinhole(view, factor)
     pixels, depth = project(vertices, k, np.zeros(5), r, t)
     return rasterise(pixels, depth, triangles, (view.size[0] * factor, view.size[1] * factor)), pixels, depth
 
@@ -54,7 +30,7 @@ def draw(
 ) -> np.ndarray:
     """(h, w, 3) uint8 sRGB picture; colours (n, 3) in 0..1 as they shall look, supersampled by `factor`."""
     seen, _, _ = look(vertices, triangles, view, factor)
-    _, r, _ = camera(view)
+    _, r, _ = pinhole(view)
     normals = vertex_normals(vertices, triangles)
     smooth = interpolate(np.concatenate([colours, normals @ r.T], 1), triangles, seen.triangle, seen.barycentric)
     colour, normal = smooth[..., :3], smooth[..., 3:]
