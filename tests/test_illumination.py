@@ -12,6 +12,7 @@ import pytest
 
 from avatarbuild.energies import harmonics
 from avatarbuild.geometry.meshes import vertex_normals
+from avatarbuild.registration.eye_painting import WHITE
 from avatarbuild.solvers import smooth_field
 from avatarbuild.template import Template
 from avatarbuild.texture import illumination, occlusion, skin_tone
@@ -183,6 +184,38 @@ def test_a_warm_lamp_is_light_and_part_of_a_strange_tint() -> None:
     plain = skin_tone.divide(tone + skin_tone.SURFACE)[1]
     assert light[0] / light[2] > 1.1 * plain[0] / plain[2]
     assert np.allclose(skin * light, warm)
+
+
+@pytest.mark.parametrize(("exposure", "least", "most"), [(-0.6, 0.8, 1.0), (0.4, 1.0, 1.12)])
+def test_whites_tell_what_the_exposure_hides(exposure: float, least: float, most: float) -> None:
+    tone = skin_tone.tones()[50]
+    seen = (tone + skin_tone.SURFACE) * np.exp(exposure)
+    told = skin_tone.divide(seen, exposure)[0] / tone
+    untold = skin_tone.divide(seen)[0] / tone
+    assert (told >= least).all()
+    assert (told <= most).all()
+    assert (np.abs(np.log(told)) < 0.5 * np.abs(np.log(untold))).all()
+
+
+def test_whites_in_a_shade_of_their_own_are_not_believed() -> None:
+    tone = skin_tone.tones()[50]
+    seen = tone + skin_tone.SURFACE
+    assert np.allclose(skin_tone.divide(seen, -4.0)[0], skin_tone.divide(seen)[0], rtol=0.25)
+
+
+def test_the_white_of_an_eye_is_a_grey_card() -> None:
+    """Dark skin under twice the light: alone it passes for lighter skin, beside the whites it does not."""
+    template = head().template
+    r = skin_tone.tones()[25]
+    fused = fused_under(2 * LIGHT, r)
+    neutral = SimpleNamespace(
+        vertices=template.mean, eye_centres=np.array(template.eye_centres), eye_radius=np.full(2, 12.0)
+    )
+    white = WHITE * harmonics.shading(np.array([[0.0, 0, 1]]), 2 * LIGHT)[0]
+    alone = illumination.factor(fused, template, neutral)
+    beside = illumination.factor(fused, template, neutral, whites=[(0, white), (1, white)])
+    off = [abs(np.log(light.skin_colour.mean() / r.mean())) for light in (alone, beside)]
+    assert off[1] < 0.6 * off[0]
 
 
 @pytest.mark.parametrize("tone", [20, 90])

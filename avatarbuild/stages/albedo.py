@@ -13,6 +13,7 @@ from avatarbuild.artefacts import Albedo, Cameras, Capture, Cloud, Neutral, View
 from avatarbuild.errors import InputError
 from avatarbuild.options import AlbedoOptions
 from avatarbuild.progress import Progress
+from avatarbuild.registration.eye_white import eye_whites
 from avatarbuild.sfm.metric import placed_photos
 from avatarbuild.template import Template
 from avatarbuild.texture import completion, illumination, static_detail
@@ -53,7 +54,10 @@ def run(
             template, neutral.vertices, neutral.seen, photos, still, options.size, options.blend, eyes, task.advance
         )
     with progress.task("Taking the light out", 3) as task:
-        light = illumination.factor(fused, template, neutral)
+        gain = {photo.placed: factor for photo, factor in zip(photos, choice.gains)}
+        cards = eye_whites(capture.photos, placed, neutral, template)
+        whites = [(card.eye, card.colour * gain[card.placed]) for card in cards if card.placed in gain]
+        light = illumination.factor(fused, template, neutral, whites=whites)
         task.advance()
         skin = skin_texture(template, options.size)
         albedo = completion.complete(light.albedo, fused.seen, template, skin, linear_picture(neutral.eye_texture))

@@ -32,6 +32,7 @@ _DOUBTFUL = 0.5  # weight in the second stage of a texel of the face whose colou
 _DIM = 0.3  # of the mean light: below this, errors count absolutely again
 _TINY = 1e-6
 _BESIDE = (36.0, 42.0, 48.0)  # degrees from the gaze: where the white shows beside the iris
+_BEST = 3  # places of a white, the best-lit ones, that are compared with its bright pixels
 
 
 @dataclass(frozen=True)
@@ -118,8 +119,8 @@ def factor(
     The light and the albedo of a fused texture: equations (1)–(3) above.
 
     The mean light on the skin seen is that of `skin_tone.divide`. whites: eye (0 left, 1 right) and colour (3,) of its
-    white, with the photo's gain; they bound the light from below. The rest of the ambiguity between a brighter light
-    and a brighter skin is not decidable.
+    white, with the photo's gain; they tell how bright the light is. What they leave open between a brighter light and
+    a brighter skin is not decidable.
     """
     o = LightWeights() if options is None else options
     size = fused.colour.shape[0]
@@ -268,7 +269,7 @@ def _harmonics(
         share = weight / weight.sum()
         middle = share @ lit
         # the colour of the skin under the mean light decides between skin and light
-        new = skin_tone.divide(r * middle, _least_light(cards, y, r, middle))[0]
+        new = skin_tone.divide(r * middle, _light_by_whites(cards, y, r, middle))[0]
         y, lit, r = y * (r / new), lit * (r / new), new
         weight = weight * _near(colour, r * lit, o.outlier)
         # albedo is a ratio: errors count as shares of the light that is there
@@ -295,14 +296,15 @@ def _cards(template: Template, neutral: Neutral, whites: Sequence[tuple[int, np.
     return cards
 
 
-def _least_light(cards: list[Card], y: np.ndarray, r: np.ndarray, middle: np.ndarray) -> float:
-    """Log luminance of the mean light on the skin by the whites, if these are as white as they can be; -inf: none."""
+def _light_by_whites(cards: list[Card], y: np.ndarray, r: np.ndarray, middle: np.ndarray) -> float | None:
+    """Log luminance of the mean light on the skin, by the whites' best-lit places; None where no white was seen."""
     told = []
     for card in cards:
-        lit = (occlusion.between_skin(card.open, r) * harmonics.shading(card.bent, y)).mean(axis=0)
-        if (lit > 0).all() and (card.colour > 0).all():
-            told.append(skin_tone.LUMINANCE @ np.log(card.colour * middle / (WHITE * lit)))
-    return float(np.mean(told)) if told else -np.inf
+        lit = occlusion.between_skin(card.open, r) * harmonics.shading(card.bent, y)
+        best = lit[np.argsort(lit.sum(axis=1), kind="stable")[-_BEST:]].mean(axis=0)
+        if (best > 0).all() and (card.colour > 0).all():
+            told.append(float(skin_tone.LUMINANCE @ np.log(card.colour * middle / (WHITE * best))))
+    return float(np.mean(told)) if told else None
 
 
 def _near(colour: np.ndarray, expected: np.ndarray, limit: float) -> np.ndarray:

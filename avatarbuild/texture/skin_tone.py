@@ -11,12 +11,14 @@ _LIGHTNESS = (22.0, 35.0, 50.0, 62.0, 74.0)
 _REDNESS = (7.5, 10.5, 12.5, 11.5, 9.0)
 _YELLOWNESS = (9.0, 14.5, 18.0, 17.0, 14.0)
 _STEPS = 105
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 BRIGHTNESS_SD = 0.35  # of the log of the mean light on the face, whose mean is 0: the exposure
 TINT_SD = 0.10  # of the log ratios of the light's channels: what a phone's white balance leaves
 SURFACE = 0.02  # of the light: what the skin's surface reflects, white, from all sides; 0.028 straight on (n = 1.4)
 SKIN_TINT_SD = 0.10  # of the log ratios of the skin's channels about the line of tones
+WHITE_SD = 0.20  # of the log of the light that the whites of the eyes show; half of it where they show more light
+WHITE_TAIL = 4.0  # degrees of freedom: whites in a shade of their own are no witnesses
 
 
 def tones() -> np.ndarray:
@@ -34,25 +36,30 @@ def tones() -> np.ndarray:
     return np.clip(relative * white @ np.linalg.inv(matrix).T, 1e-3, 1.0)
 
 
-def divide(mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def divide(mean: np.ndarray, white: float | None = None) -> tuple[np.ndarray, np.ndarray]:
     """
     Skin r (3,) and light's factor l (3,) with r l = mean (3,), from the most probable light l' under
 
     mean = (r + surface) l',  log l' ~ N(0, brightness along luminance, tint across it),
-    log (r + surface) = log (tone(k) + surface) + N(0, tint), k uniform.
+    log (r + surface) = log (tone(k) + surface) + N(0, tint), k uniform,
+    white = log l' + t(white), the log of the light that the whites of the eyes show: lids, lashes and age take light
+    from them, little adds any.
 
     The surface's white share, which no view is without, is little beside light skin and half of dark skin's blue: l
     holds it, so that it does not bleach r.
 
-    Every tone is as likely as any other, so that nothing draws dark skin to light: what is left of the brightness
-    is that a tone outside human skin, or of another colour than its brightness has, is explained by the light.
+    Every tone is as likely as any other, so that nothing draws dark skin to light. A phone exposes for the whole
+    picture, so that brightness alone says little: whites are of one brightness in everybody.
     """
     colour = np.log(np.maximum(np.asarray(mean, np.float64), 1e-4))
     off = colour - np.log(tones() + SURFACE)
-    bright = off @ _LUMINANCE
+    bright = off @ LUMINANCE
     tint = off - bright[:, None]
     light_tint = tint * TINT_SD**2 / (TINT_SD**2 + SKIN_TINT_SD**2)
     cost = (bright / BRIGHTNESS_SD) ** 2 + (tint**2).sum(axis=1) / (TINT_SD**2 + SKIN_TINT_SD**2)
+    if white is not None:
+        off = (white - bright) * np.where(white > bright, 2.0, 1.0) / WHITE_SD
+        cost += WHITE_TAIL * np.log1p(off**2 / WHITE_TAIL)
     best = int(np.argmin(cost))
     light = np.exp(bright[best] + light_tint[best])
     whole = np.exp(colour) / light
