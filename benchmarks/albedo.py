@@ -57,12 +57,13 @@ def main() -> None:
     inputs = (capture, cameras, cloud, neutral)
 
     made = None
-    print("texels  seconds  peak GB")
+    print("texels  seconds  core-seconds  peak GB")
     for size in a.sizes:
-        start = time.perf_counter()
+        start, busy = time.perf_counter(), time.process_time()
         made = stage.run(*inputs, AlbedoOptions(size=size), Silent(), Template.load())
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-        print(f"{size:6d} {time.perf_counter() - start:8.1f} {peak:8.2f}", flush=True)
+        seconds, cores = time.perf_counter() - start, time.process_time() - busy
+        print(f"{size:6d} {seconds:8.1f} {cores:13.1f} {peak:8.2f}", flush=True)
     if made is not None and a.truth and a.scorer and a.glb:
         score(made, a.truth, a.scorer, a.glb)
     seams(*inputs)

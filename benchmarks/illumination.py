@@ -1,27 +1,38 @@
 """What the factorisation of the light does: on simulated skin under three lights, and on a project, as pictures.
 
 python benchmarks/illumination.py lights --seed 101
+python benchmarks/illumination.py rooms PROJECT TRUTH CAPTURE.avatar [CAPTURE.avatar ...]
 python benchmarks/illumination.py pictures PROJECT docs/images
+
+rooms: the person of a simulated PROJECT (stage neutral has run) photographed in other lights, `simulate --seed N --set
+light=1` and so on, each CAPTURE run until stage capture and its truth in CAPTURE.truth. The head is PROJECT's, the
+cameras are the true ones; fusion, gains, whites of the eyes, gloss, noise and exposure are those of a whole run.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
 import numpy as np
+import pycolmap
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from avatarbuild.artefacts import Cameras, Capture, Neutral
+from avatarbuild.artefacts import Cameras, Capture, Neutral, Views
 from avatarbuild.formats.colour import srgb_from_linear
 from avatarbuild.geometry.meshes import vertex_normals
-from avatarbuild.sfm.metric import placed_photos
+from avatarbuild.geometry.similarity import similarity
+from avatarbuild.options import AlbedoOptions
+from avatarbuild.registration.eye_white import eye_whites
+from avatarbuild.sfm.metric import Placed, placed_photos
 from avatarbuild.simulation import chart as simulated_chart
 from avatarbuild.simulation.light import harmonic_basis, occlusion, room_light
 from avatarbuild.simulation.skin import paint, random_person
@@ -30,6 +41,8 @@ from avatarbuild.template import Template
 from avatarbuild.texture import completion, illumination
 from avatarbuild.texture.chart import Chart, draw_chart, texels_per_mm
 from avatarbuild.texture.fused import Fused
+from avatarbuild.texture.fusion import fuse
+from avatarbuild.texture.photos import Photo, linear_picture, placed_in_head
 from avatarbuild.texture.template_skin import skin_texture
 
 SIZE = 512
@@ -104,12 +117,64 @@ def lights(seed: int) -> None:
         print(f"  {name:20s} {apart(images, on):6.2f} | " + "  ".join(f"{e:.2f}" for e in errors))
 
 
+def rooms(project: Path, truth: Path, captures: list[Path], size: int) -> None:
+    """The table of one person under the lights of several captures."""
+    template, neutral = Template.load(), Neutral.load(project / "04-neutral")
+    with np.load(truth / "mesh.npz") as mesh:
+        known = np.empty(mesh["neutral"].shape)
+        known[mesh["template_vertex"]] = mesh["neutral"]
+    placing = similarity(known, neutral.vertices)
+    neutral = replace(neutral, head_from_cloud=np.eye(4))
+    chart = draw_chart(template, template.uv, template.uv_triangles, size)
+    bytes_ = cv2.cvtColor(cv2.imread(str(truth / "albedo_face.png")), cv2.COLOR_BGR2RGB)
+    true = cv2.resize(linear_picture(bytes_), (size, size), interpolation=cv2.INTER_AREA)
+    on = face_of(template, chart)
+    rows: dict[str, list[np.ndarray]] = {"fused": [], "without whites": [], "albedo": []}
+    for folder in captures:
+        views = Capture.load(folder / "01-capture").photos
+        placed, photos = truly_placed(views, folder.with_suffix(".truth"), placing)
+        eyes = (neutral.eye_centres, neutral.eye_radius)
+        still = np.ones(len(photos), bool)
+        blend = AlbedoOptions().blend
+        fused, choice, _ = fuse(
+            template, neutral.vertices, neutral.seen, photos, still, size, blend, eyes, lambda _: None
+        )
+        cards = eye_whites(views, placed, neutral, template)
+        whites = [(card.eye, card.colour * choice.gains[card.placed]) for card in cards]
+        rows["fused"].append(fused.colour)
+        rows["without whites"].append(illumination.factor(fused, template, neutral).albedo)
+        rows["albedo"].append(illumination.factor(fused, template, neutral, whites=whites).albedo)
+        on &= fused.seen > 0.3
+    print("face, percent: difference between the lights | error against the truth | brightness over the truth's")
+    for name, images in rows.items():
+        errors = "  ".join(f"{apart([image, true], on):.1f}" for image in images)
+        bright = "  ".join(f"{np.median(image[on]) / np.median(true[on]):.2f}" for image in images)
+        print(f"  {name:15s} {apart(images, on):6.2f} | {errors} | {bright}")
+
+
+def truly_placed(
+    views: Views, truth: Path, placing: tuple[float, np.ndarray, np.ndarray]
+) -> tuple[Placed, list[Photo]]:
+    """The photos with the truth's cameras, in the frame that `placing` (scale, rotation, translation) leads to."""
+    s, turn, shift = placing
+    told = {Path(p["file"]).stem: p for p in json.loads((truth / "cameras.json").read_text())["photos"]}
+    photos, cameras = [], []
+    for i, file in enumerate(views.files):
+        p = told[Path(file).stem]
+        K = np.array(p["K"]) + [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
+        R = np.array(p["R"]) @ turn.T
+        t = s * np.array(p["t"]) - R @ shift
+        size = (int(views.size[i, 0]), int(views.size[i, 1]))
+        photos.append(Photo(views.names[i], i, i, views.images[i], size, K, np.array(p["dist"]), R, t))
+        k1, k2, p1, p2, k3 = p["dist"]
+        lens = [K[0, 0], K[1, 1], K[0, 2], K[1, 2], k1, k2, p1, p2, k3, 0, 0, 0]
+        cameras.append(pycolmap.Camera(model="FULL_OPENCV", width=size[0], height=size[1], params=lens))
+    rotation, translation = (np.stack([getattr(photo, name) for photo in photos]) for name in ("R", "t"))
+    return Placed(np.arange(len(photos)), cameras, rotation, translation), photos
+
+
 def fused_of(project: Path, size: int) -> tuple[Fused, Neutral]:
     """A project's fused texture, found again."""
-    from avatarbuild.options import AlbedoOptions
-    from avatarbuild.texture.fusion import fuse
-    from avatarbuild.texture.photos import placed_in_head
-
     template = Template.load()
     capture, cameras = Capture.load(project / "01-capture"), Cameras.load(project / "02-cameras")
     neutral = Neutral.load(project / "04-neutral")
@@ -186,9 +251,16 @@ def main() -> None:
     drawn.add_argument("project", type=Path)
     drawn.add_argument("folder", type=Path)
     drawn.add_argument("--size", type=int, default=1024)
+    lit = verbs.add_parser("rooms")
+    lit.add_argument("project", type=Path)
+    lit.add_argument("truth", type=Path)
+    lit.add_argument("captures", type=Path, nargs="+")
+    lit.add_argument("--size", type=int, default=1024)
     o = parser.parse_args()
     if o.verb == "lights":
         lights(o.seed)
+    elif o.verb == "rooms":
+        rooms(o.project, o.truth, o.captures, o.size)
     else:
         pictures(o.project, o.folder, o.size)
 

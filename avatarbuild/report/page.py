@@ -6,7 +6,7 @@ from html import escape
 from importlib.resources import files
 from typing import Any
 
-from avatarbuild.artefacts import Blendshapes, Cameras, Capture, Cloud, Neutral
+from avatarbuild.artefacts import Albedo, Blendshapes, Cameras, Capture, Cloud, Neutral
 from avatarbuild.report import heads, overlay, sections, words
 from avatarbuild.report.html import duration, paragraph, picture, row
 from avatarbuild.report.rendering import View
@@ -31,6 +31,7 @@ def page(
     cameras: Cameras,
     points: Cloud,
     neutral: Neutral,
+    albedo: Albedo,
     blendshapes: Blendshapes,
     template: Template,
     stages: list[dict[str, Any]],
@@ -41,7 +42,7 @@ def page(
     stages: the stamps of the finished stages, in order: stage, figures, warnings, versions, timing. Equal inputs give
     equal bytes.
     """
-    figure = heads.figure(neutral, blendshapes, points, template, 1)
+    figure = heads.figure(blendshapes, albedo.albedo, template, 1)
     found = overlay.shots(capture, cameras, neutral)
     todo = words.cautions(stages)
     links = "".join(f'<li><a href="#{key}">{name}</a></li>' for key, name in _PLACES)
@@ -83,7 +84,8 @@ def _opening(capture: Capture, cameras: Cameras, figure: heads.Figure, stages: l
     return (
         f'<header id="top"><h1>Avatar report</h1>{paragraph(escape(said), "lead")}{row(shown, "grid3 hero")}'
         + paragraph(
-            "The avatar’s shape, in the colours of the photos’ points; what no photo shows is filled in.", "note"
+            "The avatar’s shape in the skin’s own colours, without the photos’ light; what none shows is filled in.",
+            "note",
         )
     )
 

@@ -66,7 +66,7 @@ def run(
         "avatar.json": (json.dumps(about, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode(),
     }
     with progress.task("report.html", 1) as task:
-        files["report.html"] = page(capture, cameras, points, neutral, blendshapes, template, list(stamps))
+        files["report.html"] = page(capture, cameras, points, neutral, albedo, blendshapes, template, list(stamps))
         task.advance()
     figures = {
         "glb_mb": round(len(made.glb) / 1e6, 2),
