@@ -64,17 +64,13 @@ def main() -> None:
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
         seconds, cores = time.perf_counter() - start, time.process_time() - busy
         print(f"{size:6d} {seconds:8.1f} {cores:13.1f} {peak:8.2f}", flush=True)
-    if made is not None and a.truth and a.scorer and a.glb:
+    made = made or stage.run(*inputs, AlbedoOptions(size=2048), Silent(), Template.load())
+    if a.truth and a.scorer and a.glb:
         score(made, a.truth, a.scorer, a.glb)
-    seams(*inputs)
+    seams(capture, cameras, neutral, made)
     photos(*inputs, a.pictures)
     if capture.clip is not None:
-        video(
-            capture,
-            neutral,
-            made or stage.run(*inputs, AlbedoOptions(size=2048), Silent(), Template.load()),
-            a.pictures,
-        )
+        video(capture, neutral, made, a.pictures)
 
 
 def score(made: Albedo, truth: Path, scorer: Path, glb: Path) -> None:
@@ -94,10 +90,10 @@ def score(made: Albedo, truth: Path, scorer: Path, glb: Path) -> None:
             print(f"{name:8s}", next(line for line in done.stdout.splitlines() if line.startswith("albedo")))
 
 
-def seams(capture: Capture, cameras: Cameras, cloud: Cloud, neutral: Neutral) -> None:
+def seams(capture: Capture, cameras: Cameras, neutral: Neutral, made: Albedo) -> None:
     """
-    Gradients of the fused texture across borders of patches and the chart's seam, over those of pairs 3 to 8 texels
-    away in the same direction; and how far the two photos' pictures are shifted against each other at the borders.
+    Gradients of the fused texture across borders of patches, over those of pairs 3 to 8 texels away in the same
+    direction; of fused texture and completed albedo across the chart's seam; and how far the two photos' pictures are shifted against each other at the borders.
     """
     template, size = Template.load(), 2048
     shots, still = fused_from(capture, cameras, neutral)
@@ -126,20 +122,11 @@ def seams(capture: Capture, cameras: Cameras, cloud: Cloud, neutral: Neutral) ->
     nodes = nodes_of(template, neutral.vertices, neutral.seen, eyes)
     chart = chart_at(template, nodes, size)
     ties = seam_ties(template, chart)
-    ties = ties[(label[ties] >= 0).all(axis=1)]
-    if len(ties):
-        position = result.position.reshape(-1, 3)
-
-        def per_mm(at: np.ndarray) -> float:
-            apart = np.linalg.norm(position[at[:, 0]] - position[at[:, 1]], axis=1)
-            return float(np.mean(steps(at) / np.maximum(apart, 0.05)))
-
-        inner = np.concatenate([ties[:, :1], ties[:, :1] + 1], axis=1)
-        inner = inner[(label[inner] >= 0).all(axis=1)]
-        ratio = per_mm(ties) / per_mm(inner)
-        print(f"the chart's seam: {len(ties)} texels seen; gradient per mm over that beside it: {ratio:.2f}")
-    else:
-        print("the chart's seam: no photo sees it")
+    of_photos = chart_seam(grey, result.position, ties, label >= 0)
+    print(f"the chart's seam, where photos see it: {of_photos}")
+    albedo = cv2.resize(linear_picture(made.albedo), (size, size), interpolation=cv2.INTER_AREA).mean(axis=2)
+    everywhere = chart_seam(albedo.reshape(-1), result.position, ties, chart.part.reshape(-1) == 1)
+    print(f"the chart's seam in the completed albedo: {everywhere}")
 
     shift = misalignment(
         shots, choice, nodes, chart, result.label, result.position, texels_per_mm(template, neutral.vertices, size)
@@ -150,6 +137,23 @@ def seams(capture: Capture, cameras: Cameras, cloud: Cloud, neutral: Neutral) ->
             f"misalignment at {len(shift)} places on borders: median {np.median(shift):.2f} texels of {size} = "
             f"{np.median(shift) / mm:.2f} mm, 90 % below {np.percentile(shift, 90) / mm:.2f} mm"
         )
+
+
+def chart_seam(grey: np.ndarray, position: np.ndarray, ties: np.ndarray, known: np.ndarray) -> str:
+    """Gradient per mm of log brightness across the chart's seam, over that between neighbours beside it."""
+    ties = ties[known[ties].all(axis=1)]
+    inner = np.concatenate([ties[:, :1], ties[:, :1] + 1], axis=1)
+    inner = inner[known[inner].all(axis=1)]
+    if not len(ties) or not len(inner):
+        return "none"
+    place = position.reshape(-1, 3)
+
+    def per_mm(at: np.ndarray) -> float:
+        p, q = at.T
+        step = 2 * np.abs(grey[p] - grey[q]) / np.maximum(grey[p] + grey[q], 1e-3)
+        return float(np.mean(step / np.maximum(np.linalg.norm(place[p] - place[q], axis=1), 0.1)))
+
+    return f"{len(ties)} pairs of texels, ratio {per_mm(ties) / per_mm(inner):.2f}"
 
 
 def misalignment(shots, choice, nodes, chart, label, position, texels) -> np.ndarray:  # type: ignore[no-untyped-def]
