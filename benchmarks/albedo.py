@@ -93,7 +93,8 @@ def score(made: Albedo, truth: Path, scorer: Path, glb: Path) -> None:
 def seams(capture: Capture, cameras: Cameras, neutral: Neutral, made: Albedo) -> None:
     """
     Gradients of the fused texture across borders of patches, over those of pairs 3 to 8 texels away in the same
-    direction; of fused texture and completed albedo across the chart's seam; and how far the two photos' pictures are shifted against each other at the borders.
+    direction; of fused texture and completed albedo across the chart's seam; and how far the two photos' pictures are
+    shifted against each other at the borders.
     """
     template, size = Template.load(), 2048
     shots, still = fused_from(capture, cameras, neutral)
