@@ -13,13 +13,13 @@ from rich.table import Table
 
 from avatarbuild import coverage
 from avatarbuild.capture_folder import CaptureFolder, open_capture
-from avatarbuild.faces import look
+from avatarbuild.faces import Look, look
 from avatarbuild.formats import video
 from avatarbuild.judgement import GOOD, MIN_PHOTOS, RESHOOT, USABLE, Finding, has_face, judge
 from avatarbuild.options import CaptureOptions
 from avatarbuild.parallel import in_order
 from avatarbuild.progress import Progress
-from avatarbuild.survey import Survey, choose_video, read_photos, survey_frames, survey_photos
+from avatarbuild.survey import FURTHER, Survey, choose_video, read_photos, survey_frames, survey_photos
 
 _PHOTO_PIXELS = 3.2e6  # photos are looked at in this size, half of 12 megapixels; blur of 0.1 mm still shows
 _KEY_GAP = 1.5  # s: keyframes nearer than this sample a video well, and cost least
@@ -114,8 +114,13 @@ def _sampled(
     indices = _samples(chosen.path, times)
     looks, kept = [], []
     with progress.task("video", len(indices)) as task:
-        frames = ((i, rgb) for i, _, rgb in video.decode_frames(chosen.path, indices))
-        for index, seen in in_order(lambda item: (item[0], look(_smaller(item[1]), options.presence, False)), frames):
+        frames = enumerate((i, rgb) for i, _, rgb in video.decode_frames(chosen.path, indices))
+
+        def glance(item: tuple[int, tuple[int, np.ndarray]]) -> tuple[int, Look]:
+            number, (index, rgb) = item
+            return index, look(_smaller(rgb), options.presence, careful=False, further=number % FURTHER == 0)
+
+        for index, seen in in_order(glance, frames):
             task.advance()
             kept.append(index)
             looks.append(seen)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from avatarbuild.bystanders import further_faces
 from avatarbuild.focus import Measures, measure
 from avatarbuild.geometry.head_pose import head_angles, head_pose
 from avatarbuild.landmarks import Face, canonical_face, face_size, find_faces
@@ -21,6 +22,7 @@ _LIKE, _UNLIKE, _APART = 0.7, 0.45, 2.5
 ANOTHER = 0.8  # unlikeness from which a face seems to be another person's
 _NOBODY = 6.0  # what it costs to follow no face, in the units of `follow`
 _ANOTHER_SIZE = 0.35  # faces smaller than this share of the subject's are passers-by and posters
+_ANOTHER_SURE = 0.8  # of the presence that the subject needs: nobody poses in the background
 
 
 @dataclass(frozen=True)
@@ -64,9 +66,15 @@ class Identity(NamedTuple):
     shape: np.ndarray
 
 
-def look(rgb: np.ndarray, presence: float, careful: bool = True) -> Look:
-    """Finds, poses and measures the faces of an upright (h, w, 3) uint8 sRGB picture."""
-    found = [candidate(rgb, face) for face in find_faces(rgb, presence, careful=careful)]
+def look(rgb: np.ndarray, presence: float, careful: bool = True, further: bool = False) -> Look:
+    """
+    Finds, poses and measures the faces of an upright (h, w, 3) uint8 sRGB picture; `further` looks in its parts for
+    people behind one that is seen well.
+    """
+    seen = find_faces(rgb, presence, careful=careful)
+    if further and seen and seen[0].presence >= presence:
+        seen += further_faces(rgb, seen, _ANOTHER_SURE * presence)
+    found = [candidate(rgb, face) for face in seen]
     faces = [face for face in found if face.trustworthy]
     return Look((rgb.shape[1], rgb.shape[0]), faces, None if faces else measure(rgb, None))
 
@@ -144,7 +152,8 @@ def others(item: Look, subject: int, presence: float) -> int:
     if subject < 0:
         return 0
     least = _ANOTHER_SIZE * item.faces[subject].size
-    return sum(f.face.presence >= presence and f.size >= least for i, f in enumerate(item.faces) if i != subject)
+    sure = _ANOTHER_SURE * presence
+    return sum(f.face.presence >= sure and f.size >= least for i, f in enumerate(item.faces) if i != subject)
 
 
 def rigid_points() -> np.ndarray:

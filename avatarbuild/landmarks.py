@@ -30,7 +30,7 @@ IRIS_LEFT = slice(473, 478)
 EYE_CORNERS = (33, 263)  # outer corners: the subject's right eye, left eye
 
 _ZIP = "face_landmarker.task"
-_DETECTOR_SIZE = 128
+DETECTOR_SIZE = 128
 _CROP_SIZE = 256
 _ROOM = 1.5  # a crop's side over the face's larger extent, as the network was trained
 _ANCHOR_LAYERS = ((8, 2), (16, 6))  # stride in detector pixels, anchors a cell
@@ -122,7 +122,7 @@ def find_faces(rgb: np.ndarray, presence: float = 0.9, most: int = 4, careful: b
     faces.sort(key=lambda face: -face.presence * face_size(face.points))
     kept: list[Face] = []
     for face in faces:
-        if all(not _same_place(face.points, other.points) for other in kept):
+        if all(not same_place(face.points, other.points) for other in kept):
             kept.append(face)
     return kept[:most]
 
@@ -147,10 +147,10 @@ def trace(rgb: np.ndarray, region: Region, careful: bool = True) -> Face:
 def detect(rgb: np.ndarray, threshold: float = 0.4, padding: float = 0.0) -> list[Detection]:
     """Faces by the detector alone, best first; `padding` is a black border as a share of the longer side."""
     h, w = rgb.shape[:2]
-    scale = _DETECTOR_SIZE / (max(h, w) * (1 + 2 * padding))
+    scale = DETECTOR_SIZE / (max(h, w) * (1 + 2 * padding))
     small = cv2.resize(rgb, (max(1, round(w * scale)), max(1, round(h * scale))), interpolation=cv2.INTER_AREA)
-    x0, y0 = (_DETECTOR_SIZE - small.shape[1]) // 2, (_DETECTOR_SIZE - small.shape[0]) // 2
-    square = np.zeros((_DETECTOR_SIZE, _DETECTOR_SIZE, 3), np.uint8)
+    x0, y0 = (DETECTOR_SIZE - small.shape[1]) // 2, (DETECTOR_SIZE - small.shape[0]) // 2
+    square = np.zeros((DETECTOR_SIZE, DETECTOR_SIZE, 3), np.uint8)
     square[y0 : y0 + small.shape[0], x0 : x0 + small.shape[1]] = small
     boxes, logits = _run("detector", square.astype(np.float32) / 127.5 - 1.0)
     score = _logistic(logits.ravel())
@@ -301,14 +301,14 @@ def _looks(rgb: np.ndarray) -> Iterator[list[Detection]]:
     for parts in () if clear or max(h, w) <= _CROP_SIZE else (2, 3):
         side = 2 * max(h, w) // (parts + 1)
         found = []
-        for y in _starts(h, side):
-            for x in _starts(w, side):
+        for y in starts(h, side):
+            for x in starts(w, side):
                 for score, region in detect(rgb[y : y + side, x : x + side]):
                     found.append(Detection(score, region._replace(centre=region.centre + np.array([x, y]))))
         yield sorted(found, key=lambda detection: -detection.score)[:8]
 
 
-def _starts(length: int, side: int) -> list[int]:
+def starts(length: int, side: int) -> list[int]:
     """Where windows of `side`, overlapping by at least a third, begin on a line of `length`."""
     n = max(1, int(np.ceil((length - side) / (side * 2 / 3))) + 1)
     return sorted({int(v) for v in np.linspace(0, max(0, length - side), n)})
@@ -339,7 +339,7 @@ def _anchors() -> np.ndarray:
     """(896, 2) detector pixels."""
     layers = []
     for stride, count in _ANCHOR_LAYERS:
-        y, x = np.mgrid[: _DETECTOR_SIZE // stride, : _DETECTOR_SIZE // stride]
+        y, x = np.mgrid[: DETECTOR_SIZE // stride, : DETECTOR_SIZE // stride]
         centres = np.stack([x + 0.5, y + 0.5], -1).reshape(-1, 2) * stride
         layers.append(np.repeat(centres, count, axis=0))
     return np.concatenate(layers)
@@ -359,7 +359,7 @@ def _moved(a: Region, b: Region) -> float:
     return float((np.abs(a.centre - b.centre).max() + abs(a.side - b.side) / 2) / b.side + turned / 2)
 
 
-def _same_place(a: np.ndarray, b: np.ndarray) -> bool:
+def same_place(a: np.ndarray, b: np.ndarray) -> bool:
     """Whether two point sets lie on one face: their middles are nearer than half the smaller one's size."""
     apart = np.linalg.norm(a[:468, :2].mean(0) - b[:468, :2].mean(0))
     return bool(apart < 0.5 * min(face_size(a), face_size(b)))

@@ -20,6 +20,7 @@ from avatarbuild.progress import Task
 from avatarbuild.template import ARKIT_NAMES
 
 MAIN_LENS = 26.0  # mm equivalent: a phone's main camera, assumed where nothing is told
+FURTHER = 5  # every so many frames of a video are searched for people behind the subject
 VIDEO_CROP = 1.12  # a phone's video sees less than its photos, for the stabiliser's margin
 _FILM_DIAGONAL = 43.267  # mm
 
@@ -82,7 +83,7 @@ def read_photos(
             facts = images.photo_facts(folder.root / file)
         except InputError as e:
             return e
-        seen = look(photo.rgb, presence, careful=jpeg_quality is not None)
+        seen = look(photo.rgb, presence, careful=jpeg_quality is not None, further=True)
         copy = b"" if jpeg_quality is None else images.encode_jpeg(photo.rgb, jpeg_quality)
         return Shot(file, facts, (photo.rgb.shape[1], photo.rgb.shape[0]), photo.focal, seen, copy)
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from avatarbuild.geometry.similarity import similarity
-from avatarbuild.sfm import head, matching, metric
+from avatarbuild.sfm import focal, head, matching, metric
 from avatarbuild.sfm.features import Features, extract
 from avatarbuild.sfm.mapping import map_photos
 
@@ -204,3 +204,25 @@ def test_features_do_not_depend_on_the_number_of_threads() -> None:
         np.testing.assert_array_equal(a.points, b.points)
         np.testing.assert_array_equal(a.descriptors, b.descriptors)
         assert (np.diff(a.scales) <= 0).all()
+
+
+def test_a_dolly_zoom_keeps_the_size_of_what_stands_midway(solved: tuple[Scene, pycolmap.Reconstruction]) -> None:
+    _, model = solved
+    few = focal._fewer(model)
+    zoomed = focal._dolly_zoom(few, 1.4)
+    assert len(few.points3D) < len(model.points3D)
+    for number in few.reg_image_ids():
+        seen = [few.points3D[p.point3D_id].xyz for p in few.images[number].points2D if p.has_point3D()]
+        assert len(seen) >= 60
+        before, after = (m.images[number].cam_from_world() for m in (few, zoomed))
+        np.testing.assert_array_equal(before.rotation.matrix(), after.rotation.matrix())
+        depth = [np.median(np.array(seen) @ p.rotation.matrix()[2] + p.translation[2]) for p in (before, after)]
+        lengths = [m.cameras[1].mean_focal_length() for m in (few, zoomed)]
+        assert lengths[1] / depth[1] == pytest.approx(lengths[0] / depth[0])
+
+
+def test_the_right_focal_length_asks_for_no_other(solved: tuple[Scene, pycolmap.Reconstruction]) -> None:
+    _, model = solved
+    before = model.cameras[1].params.tolist()
+    assert not focal.longer_fits(model)
+    assert model.cameras[1].params.tolist() == before

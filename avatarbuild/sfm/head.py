@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pycolmap
 
+from avatarbuild.sfm.adjustment import adjust
 from avatarbuild.sfm.features import Features
-from avatarbuild.sfm.mapping import adjust
 
 _GROW = 1.15  # the face's outline about its middle: ears and some hair belong to the head as well
 _LEAST_TRANSFERRED = 12

@@ -27,6 +27,8 @@ LEAST_MATCHES = 15
 LEAST_PLACED = 3
 ENOUGH = 0.8  # of the photos must be placed by the head's features alone; else the whole set's cameras are adjusted
 DEFAULT_FOCAL = 1.2  # times the longer side, COLMAP's own guess where nothing is known
+SHORTEST_FOCAL = 0.35  # times the longer side: phones have no shorter lens, whatever a header claims
+OFF = 0.1  # of the focal length that was claimed: further off is worth a warning
 TRUSTED_PRESENCE, TRUSTED_YAW = 0.9, 60.0
 
 
@@ -69,7 +71,7 @@ def run(capture: Capture, options: CamerasOptions, progress: Progress) -> Camera
         "features": which,
         "head_px": None if settled is None else [round(settled.before, 3), round(settled.after, 3)],
     }
-    _warn_of_focal(lenses, model, warnings)
+    warnings += _warn_of_focal(capture, camera_of, model)
     scale: dict[str, Any] = {"source": "none", "relative_sd": None}
     if capture.face:
         scale = _to_head(capture, model, placed, options, figures, warnings)
@@ -104,6 +106,7 @@ def _lenses(capture: Capture) -> tuple[list[pycolmap.Camera], np.ndarray]:
         known = photos.focal[photos.lens == number]
         known = known[np.isfinite(known)]
         length = float(np.median(known)) if len(known) else DEFAULT_FOCAL * max(width, height)
+        length = max(length, SHORTEST_FOCAL * max(width, height))
         lens = pycolmap.Camera.create_from_model_id(
             len(lenses) + 1, pycolmap.CameraModelId.SIMPLE_RADIAL, length, width, height
         )
@@ -199,12 +202,18 @@ def _colour(model: pycolmap.Reconstruction, capture: Capture, names: list[str]) 
             model.points3D[number].color = rgb[row, column]
 
 
-def _warn_of_focal(lenses: list[pycolmap.Camera], model: pycolmap.Reconstruction, warnings: list[str]) -> None:
+def _warn_of_focal(capture: Capture, camera_of: np.ndarray, model: pycolmap.Reconstruction) -> list[str]:
+    """A line for each lens whose focal length came out far from what was claimed of it."""
+    photos, lines = capture.photos, []
     for number in sorted(model.cameras):
-        claimed, found = lenses[number - 1], model.cameras[number].mean_focal_length()
-        change = found / claimed.mean_focal_length() - 1
-        if claimed.has_prior_focal_length and abs(change) > 0.1:
-            warnings.append(f"the focal length came out {100 * change:+.0f} % off what EXIF says: {found:.0f} pixels")
+        claimed = float(np.nanmedian(photos.focal[camera_of == number - 1]))
+        found = model.cameras[number].mean_focal_length()
+        if np.isfinite(claimed) and abs(found / claimed - 1) > OFF:
+            lines.append(
+                f"the focal length came out {100 * (found / claimed - 1):+.0f} % off what EXIF or capture.toml says "
+                f"(without them, a phone's main camera): {found:.0f} pixels instead of {claimed:.0f}"
+            )
+    return lines
 
 
 def _to_head(

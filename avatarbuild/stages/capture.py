@@ -20,6 +20,7 @@ from avatarbuild.options import CaptureOptions
 from avatarbuild.parallel import in_order
 from avatarbuild.progress import Progress, Task
 from avatarbuild.survey import (
+    FURTHER,
     MAIN_LENS,
     VIDEO_CROP,
     Survey,
@@ -113,12 +114,15 @@ def _frames(
 ) -> tuple[list[int], list[Look], list[bytes]]:
     """The sharpest frame of each 1 / frame_rate seconds: its number, a look at it, its JPEG."""
 
-    def pick(window: list[tuple[int, np.ndarray]]) -> tuple[int, Look, bytes]:
+    def pick(item: tuple[int, list[tuple[int, np.ndarray]]]) -> tuple[int, Look, bytes]:
+        number, window = item
         index, rgb = _sharpest(window, options.presence)
-        return index, look(rgb, options.presence), images.encode_jpeg(rgb, options.jpeg_quality)
+        seen = look(rgb, options.presence, further=number % FURTHER == 0)
+        return index, seen, images.encode_jpeg(rgb, options.jpeg_quality)
 
     indices, looks, copies = [], [], []
-    for index, seen, copy in in_order(pick, _windows(chosen.path, times, options.frame_rate, task), ahead=1):
+    windows = enumerate(_windows(chosen.path, times, options.frame_rate, task))
+    for index, seen, copy in in_order(pick, windows, ahead=1):
         indices.append(index)
         looks.append(seen)
         copies.append(copy)
