@@ -373,6 +373,64 @@ class Blendshapes:
             return Blendshapes(arrays["neutral"], arrays["deltas"], arrays["eye_centres"])
 
 
+_PERFORMANCE_ARRAYS = (
+    *("times", "weights", "rotation", "translation", "quality", "gaze", "processed", "modelled"),
+    *("neutral", "deltas", "eye_centres", "evidence"),
+)
+
+
+@dataclass(frozen=True)
+class Performance:
+    """
+    What the video shows: f decoded frames, and the rig that it taught. Without a video f = 0 and the rig is the
+    transferred one.
+
+    video        the clip's path in the capture folder, "" without one;  size upright width, height;  fps nominal
+    focal, k1    the clip's lens: pixels, radial distortion (the principal point is the middle of the picture)
+    times        (f,) s, first 0;  weights (f, 52) in ARKit's order, 0..1
+    rotation, translation  (f, 3, 3), (f, 3): x_cam = R x + t, mm, head frame to OpenCV camera axes
+    quality      (f,) in 0..1: 0 lost, its pose interpolated and its weights held
+    gaze         (f, 2, 2) radians: left and right eye, yaw (positive: to the subject's left), pitch (positive: up)
+    processed    (j,) int: the frames that were tracked in full;  modelled (j,) bool: those that taught the shapes
+    neutral (n, 3), deltas (52, n, 3) float32 mm, eye_centres (2, 3): the person's own rig, as in Blendshapes
+    evidence     (52,) in 0..1: how far the video, and not the transfer, decided a shape
+    """
+
+    video: str
+    size: tuple[int, int]
+    fps: float
+    focal: float
+    k1: float
+    times: np.ndarray
+    weights: np.ndarray
+    rotation: np.ndarray
+    translation: np.ndarray
+    quality: np.ndarray
+    gaze: np.ndarray
+    processed: np.ndarray
+    modelled: np.ndarray
+    neutral: np.ndarray
+    deltas: np.ndarray
+    eye_centres: np.ndarray
+    evidence: np.ndarray
+    figures: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+    def save(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / "performance.npz").open("wb") as f:
+            np.savez(f, **{name: getattr(self, name) for name in _PERFORMANCE_ARRAYS})
+        about = {"video": self.video, "size": list(self.size), "fps": self.fps, "focal": self.focal, "k1": self.k1}
+        _write_json(folder / "clip.json", about)
+
+    @staticmethod
+    def load(folder: Path) -> Performance:
+        about = _read_json(folder / "clip.json")
+        about["size"] = tuple(about["size"])
+        with np.load(folder / "performance.npz") as arrays:
+            return Performance(**about, **{name: arrays[name] for name in _PERFORMANCE_ARRAYS})
+
+
 @dataclass(frozen=True)
 class Avatar:
     """The deliverables: file name -> bytes (avatar.glb, avatar.json, report.html, …)."""

@@ -118,6 +118,20 @@ class AlbedoOptions:
 
 
 @dataclass(frozen=True)
+class TrackingOptions:
+    """Tracking the video, and the person's own shapes learnt from it."""
+
+    rounds: int = option(4, "rounds", "Tracking and modelling in turn, at most.", draft=2, least=0)
+    settled: float = option(0.05, "mm", "It ends when a round moves the posed face by less than this.", least=0.0)
+    leave_out: int = option(
+        0,
+        "frames",
+        "Every so many-th processed frame teaches nothing, to check the shapes on it; 0: all teach.",
+        least=0,
+    )
+
+
+@dataclass(frozen=True)
 class AvatarOptions:
     """avatar.glb and avatar.json."""
 
@@ -133,6 +147,7 @@ STAGE_OPTIONS: dict[str, type] = {
     "neutral": NeutralOptions,
     "albedo": AlbedoOptions,
     "blendshapes": BlendshapesOptions,
+    "tracking": TrackingOptions,
     "avatar": AvatarOptions,
 }
 

@@ -8,20 +8,19 @@ import numpy as np
 
 from avatarbuild.artefacts import Blendshapes, Neutral
 from avatarbuild.contacts import LIMITS, STILL, Contacts, Head
-from avatarbuild.energies import jaw
 from avatarbuild.energies.deformation_transfer import displacement_gradients, gradient_rows, transfer_system
 from avatarbuild.errors import InputError
 from avatarbuild.geometry.similarity import similarity
 from avatarbuild.options import BlendshapesOptions
 from avatarbuild.progress import Progress, Task
+from avatarbuild.rigging import carry_parts, limits_of, poses_of, without_limits
 from avatarbuild.solvers.held import solve_held
 from avatarbuild.solvers.sparse import Factor
-from avatarbuild.template import COMBINATION_LIMITS, Template
+from avatarbuild.template import Template
 
 log = logging.getLogger(__name__)
 
 TOLERANCE = 1e-5  # of the solver: about 1e-4 mm
-MOUTH_PARTS = ("teeth_upper", "teeth_lower", "gums", "tongue")
 
 
 def run(neutral: Neutral, options: BlendshapesOptions, progress: Progress, template: Template) -> Blendshapes:
@@ -62,11 +61,8 @@ def transferred(
     """
     contacts, transfer = Contacts(t, person), Transfer(t, person)
     skin, e = contacts.skin, len(t.expressions)
-    limits = {t.expression_index[a]: t.expression_index[b] for a, b in COMBINATION_LIMITS}
+    limits, poses = limits_of(t), poses_of(t)
     alone = np.setdiff1d(np.arange(e), list(limits))
-    poses = t.expressions.copy()
-    for j, limit in limits.items():
-        poses[j] += t.expressions[limit]
     posed = np.zeros_like(poses)
     posed[alone, skin] = transfer.displacements(alone, poses)
     task.advance(e / 4)
@@ -87,9 +83,7 @@ def transferred(
     task.advance(e / 4)
     figures = contacts.figures(posed, poses)
     task.advance(e / 4)
-    for j, limit in limits.items():
-        moving = np.linalg.norm(t.expressions[j], axis=1) > STILL
-        posed[j] = np.where(moving[:, None], posed[j] - posed[limit], 0)
+    without_limits(t, posed)
     return posed, figures
 
 
@@ -131,21 +125,3 @@ class Transfer:
         out = np.zeros((k, s, 3))
         out[:, self._free] = found.reshape(len(self._free), k, 3).transpose(1, 0, 2)
         return out
-
-
-def carry_parts(t: Template, person: Head, poses: np.ndarray, posed: np.ndarray) -> None:
-    """Fill in posed (e, n, 3) for teeth, gums and tongue: with the jaw as one, and the tongue's own motion."""
-    skin = t.parts["skin"].vertices
-    names = [name for name in MOUTH_PARTS if name in t.parts]
-    teeth = t.parts["teeth_lower"].vertices if "teeth_lower" in t.parts else slice(0, 0)
-    for pose, moved in zip(poses, posed, strict=True):
-        before = after = jaw.Rigid(np.eye(3), np.zeros(3))
-        if np.abs(pose[teeth]).max(initial=0) > STILL:
-            before, after = jaw.jaw_motion(
-                t.mean[teeth], pose[teeth], t.mean[skin], pose[skin], person.vertices[skin], moved[skin]
-            )
-        for name in names:
-            rows = np.arange(len(t.mean))[t.parts[name].vertices]
-            rows = rows[np.linalg.norm(pose[rows], axis=1) > STILL]
-            if len(rows):
-                moved[rows] = jaw.carried(t.mean[rows], pose[rows], person.vertices[rows], before, after)

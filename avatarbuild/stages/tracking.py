@@ -1,0 +1,281 @@
+"""
+Stage tracking: pose and weights of the person in every frame of the video, and the person's own shapes.
+
+Source: method, section 5 [Ichim et al. 2015].
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from avatarbuild.artefacts import Albedo, Blendshapes, Cameras, Capture, Clip, Neutral, Performance
+from avatarbuild.contacts import Head
+from avatarbuild.errors import InputError
+from avatarbuild.formats import video
+from avatarbuild.geometry.head_pose import head_pose
+from avatarbuild.geometry.mipmap import build_mipmap
+from avatarbuild.geometry.similarity import similarity
+from avatarbuild.landmarks import canonical_face
+from avatarbuild.options import TrackingOptions
+from avatarbuild.parallel import in_order
+from avatarbuild.progress import Progress
+from avatarbuild.rigging import keep
+from avatarbuild.sfm.metric import placed_photos
+from avatarbuild.template import ARKIT_NAMES, COMBINATION_LIMITS, Template
+from avatarbuild.texture.photos import placed_in_head
+from avatarbuild.tracking import alternation, full_rate, gaze, samples
+from avatarbuild.tracking.alternation import Eyes, Skin, Tracked
+from avatarbuild.tracking.fit import Face, Weights, face_of
+from avatarbuild.tracking.frames import LEVELS, Frame, box_of, frame
+from avatarbuild.tracking.lens import Lens
+from avatarbuild.tracking.markers import markers
+from avatarbuild.tracking.modelling import Freedom
+from avatarbuild.tracking.rig import Rig
+
+log = logging.getLogger(__name__)
+
+SHAPES = len(ARKIT_NAMES) - 1  # tongueOut, the last, moves no skin
+SAMPLES = (6000, 4000, 2000, 800)  # of the skin, for each level of the pyramid, finest first
+LEAST_SCORE = 0.15  # a channel of the detector that never says more is dead
+LEAST_FRAMES = 3
+
+
+def run(
+    capture: Capture,
+    cameras: Cameras,
+    neutral: Neutral,
+    albedo: Albedo,
+    blendshapes: Blendshapes,
+    options: TrackingOptions,
+    progress: Progress,
+    template: Template,
+    source: Path,
+) -> Performance:
+    """
+    The performance in the capture's video, `source` the capture's folder; without a video, or without a face in it, the
+    transferred shapes as they are.
+
+    Raises InputError where the video is gone.
+    """
+    clip = capture.clip
+    if clip is None:
+        return without(blendshapes, "no video: the shapes are the transferred ones, and there is no performance")
+    if int(np.isfinite(clip.frames.presence).sum()) < LEAST_FRAMES:
+        return without(
+            blendshapes, f"{clip.file} shows the subject's face in fewer than {LEAST_FRAMES} frames: it is not used"
+        )
+    eyes = Eyes(neutral.eye_centres, neutral.eye_radius)
+    photos = placed_in_head(
+        capture.photos,
+        placed_photos(cameras.model, [f"{name}.jpg" for name in capture.photos.names]),
+        neutral.head_from_cloud,
+    )
+    points = markers(template, blendshapes.neutral, photos, capture.photos, capture.neutral)
+    lens = Lens(clip.focal, 0.0, clip.size)
+    frames = processed_frames(clip)
+    face, skin = prepared(template, blendshapes, albedo, points, lens, frames)
+    teaching = np.ones(len(frames), bool)
+    if options.leave_out > 1:
+        teaching[options.leave_out - 1 :: options.leave_out] = False
+    weights, freedom = Weights(), Freedom()
+    with progress.task("Tracking and modelling", 1.0) as task:
+        face, tracked, history = alternation.alternate(
+            *(template, face, skin, frames, eyes, teaching, weights, freedom),
+            *(options.rounds, options.settled, task.advance),
+        )
+    evidence = np.zeros(len(ARKIT_NAMES))
+    evidence[:SHAPES] = alternation.evidence(tracked, teaching)
+    rig, contacts = kept(template, blendshapes, face.rig)
+    face = face_of(
+        replace(rig, deltas=rig.deltas[:SHAPES]), face.lens, face.markers, face.samples, face.skin, face.limits
+    )
+    with progress.task("Every frame", len(clip.times)) as task:
+        path = source / clip.file
+        if not path.is_file():
+            raise InputError(f"the video {path} is gone: put it back, or take it out of the capture and run again")
+        whole = full_rate.follow(face, template, eyes, tracked, video.decode_frames(path), weights, task.advance)
+    made = performance(template, clip, face.lens, rig, blendshapes.eye_centres, whole, frames, teaching, evidence)
+    quality = np.array([one.quality for one in tracked])
+    figures = {
+        "frames": len(clip.times),
+        "processed": len(frames),
+        "good": int((quality >= 0.5).sum()),
+        "rounds": len(history),
+        "moved_mm": history[-1]["moved_mm"] if history else 0.0,
+        "focal": round(face.lens.focal, 1),
+        "shapes_learnt": int((evidence >= 0.5).sum()),
+        **contacts,
+    }
+    log.info("tracking: %s", figures)
+    warnings = []
+    lost = 1 - float((made.quality > 0).mean())
+    if lost > 0.1:
+        warnings.append(f"the face is lost in {100 * lost:.0f} % of the video's frames: keep it in the picture")
+    return replace(made, figures=figures, warnings=warnings)
+
+
+def without(blendshapes: Blendshapes, warning: str) -> Performance:
+    """No performance; the shapes as they were transferred."""
+    none = np.zeros(0)
+    return Performance(
+        video="",
+        size=(0, 0),
+        fps=0.0,
+        focal=0.0,
+        k1=0.0,
+        times=none,
+        weights=np.zeros((0, len(ARKIT_NAMES))),
+        rotation=np.zeros((0, 3, 3)),
+        translation=np.zeros((0, 3)),
+        quality=none,
+        gaze=np.zeros((0, 2, 2)),
+        processed=np.zeros(0, int),
+        modelled=np.zeros(0, bool),
+        neutral=blendshapes.neutral,
+        deltas=blendshapes.deltas,
+        eye_centres=blendshapes.eye_centres,
+        evidence=np.zeros(len(ARKIT_NAMES)),
+        figures={"frames": 0},
+        warnings=[warning],
+    )
+
+
+def processed_frames(clip: Clip) -> list[Frame]:
+    """The frames that the capture kept, those without a face left out."""
+    views = clip.frames
+    scores = detector_scores(views.scores[:, :SHAPES])
+    seen = np.flatnonzero(np.isfinite(views.presence))
+
+    def one(i: int) -> Frame:
+        number = int(clip.processed[i])
+        marks, time = views.landmarks[i], float(clip.times[number])
+        return frame(number, time, views.images[i].rgb(), marks, float(views.presence[i]), scores[i], box_of(marks))
+
+    return list(in_order(one, seen))
+
+
+def detector_scores(scores: np.ndarray) -> np.ndarray:
+    """(F, a) the detector's expression scores less what a face at rest has (their lowest tenth), dead channels NaN."""
+    with np.errstate(invalid="ignore"):
+        known = np.isfinite(scores).any(axis=0)
+        most = np.where(known, np.nanmax(np.where(known, scores, 0), axis=0), 0)
+        rest = np.nanquantile(np.where(known, scores, 0), 0.1, axis=0)
+    return np.where(most > LEAST_SCORE, np.clip(scores - rest, 0, 1), np.nan)
+
+
+def prepared(
+    template: Template, blendshapes: Blendshapes, albedo: Albedo, points: object, lens: Lens, frames: list[Frame]
+) -> tuple[Face, Skin]:
+    """The face as it is tracked at first, with the transferred shapes, and its skin as it is drawn."""
+    rig = Rig(blendshapes.neutral, blendshapes.deltas[:SHAPES].astype(np.float64), template.triangles)
+    mean = canonical_face()
+    scale = float(np.median([head_pose(mean.points, mean.rigidity, f.marks[: len(mean.points)]).scale for f in frames]))
+    levels = samples.levels_of_samples(
+        template,
+        blendshapes.neutral,
+        albedo.albedo,
+        albedo.coverage,
+        [(1 << level) / scale for level in range(LEVELS)],
+        list(SAMPLES),
+    )
+    part = template.parts["skin"].triangles
+    limits = tuple((template.expression_index[a], template.expression_index[b]) for a, b in COMBINATION_LIMITS)
+    triangles = template.triangles[part]
+    grey = cv2.resize(samples.log_grey(albedo.albedo), (samples.CHART, samples.CHART), interpolation=cv2.INTER_AREA)
+    skin = Skin(
+        triangles,
+        samples.flow_region(template)[part],
+        (build_mipmap(grey[..., None]), template.uv, template.uv_triangles[part]),
+    )
+    return face_of(rig, lens, points, levels, triangles, limits), skin  # type: ignore[arg-type]
+
+
+def kept(template: Template, blendshapes: Blendshapes, learnt: Rig) -> tuple[Rig, dict[str, float]]:
+    """The learnt shapes, all 52, with lids, lips, teeth and jaw as they must be; and what is left of the contacts."""
+    face = template.regions["face"]
+    size, turn, shift = similarity(template.mean[face], learnt.neutral[face])
+    person = Head((learnt.neutral - shift) @ turn / size, (blendshapes.eye_centres - shift) @ turn / size)
+    deltas = blendshapes.deltas.astype(np.float64)
+    deltas[:SHAPES] = learnt.deltas
+    moved, figures = keep(template, person, deltas @ turn / size)
+    figures = {key: round(size * value, 3) for key, value in figures.items()}
+    return Rig(learnt.neutral, size * moved @ turn.T, learnt.triangles), figures
+
+
+def performance(
+    template: Template,
+    clip: Clip,
+    lens: Lens,
+    rig: Rig,
+    eye_centres: np.ndarray,
+    whole: list[Tracked],
+    frames: list[Frame],
+    teaching: np.ndarray,
+    evidence: np.ndarray,
+) -> Performance:
+    """Every decoded frame, smoothed without lag; lost ones between their neighbours."""
+    f = len(clip.times)
+    quality, angles = np.zeros(f), np.full((f, 2, 2), np.nan)
+    weights, pose = np.zeros((f, len(ARKIT_NAMES))), np.zeros((f, 6))
+    blink = [ARKIT_NAMES.index(name) for name in ("eyeBlinkLeft", "eyeBlinkRight")]
+    for one in whole:
+        i = one.frame.number
+        quality[i], angles[i] = one.quality, one.gaze
+        weights[i, :SHAPES] = one.state.weights
+        pose[i] = np.r_[cv2.Rodrigues(one.state.R)[0].ravel(), one.state.t]
+    good = quality > 0
+    at = np.arange(f)
+    if good.any():
+        pose[:, :3] = _continuous(pose[:, :3], good)
+        for k in range(6):
+            pose[:, k] = np.interp(at, at[good], pose[good, k])
+        last = np.maximum.accumulate(np.where(good, at, -1))
+        weights = weights[np.where(last >= 0, last, int(np.argmax(good)))]
+    looking = gaze.held(angles, good[:, None] & (weights[:, blink] < 0.6))
+    for i in np.flatnonzero(good):
+        fixed = gaze.look_weights(template, looking[i])
+        for name in template.eye_rotations:
+            weights[i, template.expression_index[name]] = fixed[template.expression_index[name]]
+    weights = np.clip(full_rate.smoothed(weights, quality, clip.fps), 0, 1)
+    for a, b in COMBINATION_LIMITS:
+        i, j = ARKIT_NAMES.index(a), ARKIT_NAMES.index(b)
+        weights[:, i] = np.minimum(weights[:, i], weights[:, j])
+    pose = full_rate.smoothed(pose, quality, clip.fps)
+    return Performance(
+        video=clip.file,
+        size=clip.size,
+        fps=float(clip.fps),
+        focal=float(lens.focal),
+        k1=float(lens.k1),
+        times=clip.times,
+        weights=weights,
+        rotation=np.stack([cv2.Rodrigues(row[:3])[0] for row in pose]),
+        translation=pose[:, 3:],
+        quality=quality,
+        gaze=looking,
+        processed=np.array([one.number for one in frames]),
+        modelled=teaching,
+        neutral=rig.neutral,
+        deltas=rig.deltas.astype(np.float32),
+        eye_centres=eye_centres,
+        evidence=evidence,
+    )
+
+
+def _continuous(turns: np.ndarray, good: np.ndarray) -> np.ndarray:
+    """Rotation vectors (f, 3) without jumps by a whole turn between the good frames, in which the face is upright."""
+    out = turns.copy()
+    before = None
+    for i in np.flatnonzero(good):
+        angle = np.linalg.norm(out[i])
+        if before is not None and angle > 0:
+            other = out[i] * (1 - 2 * np.pi / angle)
+            if np.linalg.norm(other - before) < np.linalg.norm(out[i] - before):
+                out[i] = other
+        before = out[i]
+    return out

@@ -1,0 +1,227 @@
+"""
+Tracking and modelling in turn [Ichim et al. 2015, section 5.1].
+
+A round fits every frame (equation 4) with the shapes fixed, then the shapes to all frames (equation 8) with the tracking
+fixed. The first rounds live on points: the detector's, and those that dense flow finds from the drawn head; they reach
+far. The later ones add the texture's differences (equation 6), which are finer. It ends when a round moves the posed
+skin by less than `settled` mm, or after `rounds`.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from avatarbuild.geometry.head_pose import head_pose
+from avatarbuild.geometry.mipmap import Mipmap
+from avatarbuild.landmarks import canonical_face
+from avatarbuild.parallel import in_order
+from avatarbuild.template import Template
+from avatarbuild.tracking import dense, fit, gaze, lens_fit
+from avatarbuild.tracking.fit import Face, Pinned, State, Weights
+from avatarbuild.tracking.frames import Frame
+from avatarbuild.tracking.lens import Lens
+from avatarbuild.tracking.modelling import Freedom, Space, gauge, learn
+
+log = logging.getLogger(__name__)
+
+ROUND_LEVELS = ((), (1,), (1, 0))  # of the pyramid for equation (6), round by round; the last goes on
+_STEPS = 3
+_SURE = 0.6  # quality from which a frame may tell about the lens
+_LENS_FRAMES = 6
+_ALIKE = 0.02  # of a point's square: neighbouring points err alike, fifty of them count as one
+_WORSE = 0.35  # quality below which a frame teaches nothing
+
+
+@dataclass(frozen=True)
+class Skin:
+    """What dense flow draws: the template's skin triangles (m, 3), those with a texture (m,) bool, and the texture."""
+
+    triangles: np.ndarray
+    region: np.ndarray
+    texture: tuple[Mipmap, np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Eyes:
+    """centres (2, 3) and radius (2,) mm of the eyeballs."""
+
+    centres: np.ndarray
+    radius: np.ndarray
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """A frame as it was tracked: its state, its points, its quality in 0..1 and its gaze (2, 2), NaN unknown."""
+
+    frame: Frame
+    state: State
+    pinned: list[Pinned]
+    quality: float
+    gaze: np.ndarray
+
+
+def first_state(frame: Frame, lens: Lens, a: int) -> State:
+    """A pose from the detector's points alone, as if seen from afar, and no expression."""
+    face = canonical_face()
+    seen = head_pose(face.points, face.rigidity, frame.marks[: len(face.points)])
+    depth = lens.focal / seen.scale
+    middle = face.rigidity @ face.points / face.rigidity.sum()
+    off = (seen.middle - np.array(lens.size) / 2) * depth / lens.focal
+    t = np.array([off[0], off[1], depth]) - seen.rotation @ middle
+    return State(seen.rotation, t, np.clip(np.zeros(a), frame.low, frame.high))
+
+
+def begin(face: Face, frame: Frame, template: Template, eyes: Eyes, w: Weights) -> Tracked:
+    """A frame by the detector's points: pose, gaze, then weights with the eyes' own held."""
+    pinned = fit.detected(face, frame, w)
+    start = first_state(frame, face.lens, len(face.rig.deltas))
+    state = fit.fit_points(face, frame, pinned, start, w, rigid=4, steps=0)
+    angles = gaze.gaze(frame.marks, eyes.centres, eyes.radius, face.lens, state.R, state.t)
+    looks = gaze.look_weights(template, angles)
+    fixed = np.array([name in template.eye_rotations for name in template.expression_names])[: len(looks)]
+    frame = replace(frame, low=np.where(fixed, looks, 0.0), high=np.where(fixed, looks, frame.high))
+    state = fit.fit_points(face, frame, pinned, replace(state, weights=frame.low), w, rigid=0, steps=8)
+    return Tracked(frame, state, pinned, 0.0, angles)
+
+
+def seek(face: Face, skin: Skin, tracked: Tracked, w: Weights, levels: tuple[int, ...]) -> Tracked:
+    """The frame again: its points where the head, drawn as it was tracked, is found in it; then the texture."""
+    frame, state = tracked.frame, tracked.state
+    posed = face.rig.posed(state.weights)
+    found = dense.targets(frame, posed, skin.triangles, skin.region, skin.texture, face.lens, state.R, state.t)
+    pinned = fit.detected(face, frame, w) + fit.found(face, found, w)
+    state = fit.fit_points(face, frame, pinned, state, w, rigid=0, steps=4)
+    if levels:
+        state = fit.fit(face, frame, pinned, state, w, levels, _STEPS)
+    return replace(tracked, state=state, pinned=pinned, quality=quality(face, frame, state, found))
+
+
+def quality(face: Face, frame: Frame, state: State, found: dense.Targets) -> float:
+    """
+    presence * shown * near: how much of the skin that the drawn head turns to the camera dense flow found again (0.6
+    of it is full marks), and how near the detector's points lie (from 2 to 8 mm).
+    """
+    if not np.isfinite(frame.presence):
+        return 0.0
+    r, _, _ = fit.detected(face, frame, Weights())[0].rows(face, state)
+    off = float(np.median(np.hypot(r[0::2], r[1::2])))
+    shown = min(1.0, found.share / 0.6)
+    return float(frame.presence) * shown * float(np.clip((8 - off) / 6, 0, 1))
+
+
+def alternate(
+    template: Template,
+    face: Face,
+    skin: Skin,
+    frames: list[Frame],
+    eyes: Eyes,
+    teaching: np.ndarray,
+    w: Weights,
+    freedom: Freedom,
+    rounds: int,
+    settled: float,
+    advance: Callable[[float], None],
+) -> tuple[Face, list[Tracked], list[dict[str, float]]]:
+    """
+    The face with the person's own shapes, the tracked frames, and each round's figures.
+
+    teaching (F,) bool: frames that may take part in modelling. `advance` hears shares of the work.
+    """
+    base = face.rig
+    share = 1 / (rounds + 2)
+    tracked = list(in_order(lambda f: begin(face, f, template, eyes, w), frames))
+    advance(share / 4)
+    for _ in range(2):
+        tracked = list(in_order(lambda one: seek(face, skin, one, w, ()), tracked))
+        advance(share * 3 / 8)
+    face, tracked = _lens(face, tracked)
+    history: list[dict[str, float]] = []
+    good = _teachers(tracked, teaching)
+    if not good:
+        return face, tracked, history
+    axis = np.mean([-one.state.R.T @ one.state.t / np.linalg.norm(one.state.t) for one in good], axis=0)
+    space = Space(template, base, axis / np.linalg.norm(axis), freedom)
+    before = _posed(face, tracked)
+    for number in range(rounds):
+        levels = ROUND_LEVELS[min(number, len(ROUND_LEVELS) - 1)]
+        good = _teachers(tracked, teaching)
+        rig = learn(
+            space,
+            face,
+            base,
+            [g.frame for g in good],
+            [g.pinned for g in good],
+            [g.state for g in good],
+            levels,
+            w,
+            freedom,
+        )
+        rig, states = gauge(rig, base, [one.state for one in tracked])
+        tracked = [replace(one, state=state) for one, state in zip(tracked, states, strict=True)]
+        face = fit.face_of(rig, face.lens, face.markers, face.samples, face.skin, face.limits)
+        tracked = list(in_order(lambda one: seek(face, skin, one, w, levels), tracked))  # noqa: B023
+        now = _posed(face, tracked)
+        moved = float(np.sqrt(((now - before) ** 2).sum(axis=-1).mean()))
+        before = now
+        history.append({"round": number + 1, "moved_mm": round(moved, 4), "frames": len(good)})
+        log.info("round %d: %d frames teach, the posed skin moves by %.3f mm", number + 1, len(good), moved)
+        advance(share)
+        if number + 1 >= len(ROUND_LEVELS) and moved < settled:
+            advance(share * (rounds - 1 - number))
+            break
+    return face, tracked, history
+
+
+def _lens(face: Face, tracked: list[Tracked]) -> tuple[Face, list[Tracked]]:
+    """The face with the clip's own focal length and distortion, from the frames nearest to rest, and their poses."""
+    order = sorted((i for i, one in enumerate(tracked) if one.quality >= _SURE), key=lambda i: _size(tracked[i]))
+    chosen = order[: max(_LENS_FRAMES, len(order) // 3)]
+    if len(chosen) < _LENS_FRAMES:
+        return face, tracked
+    lens, states = lens_fit.refined(
+        face, [tracked[i].state for i in chosen], [tracked[i].pinned for i in chosen], _ALIKE
+    )
+    log.info("the clip's lens: %.1f px, k1 %.4f (%.1f px by its metadata)", lens.focal, lens.k1, face.lens.focal)
+    ratio = lens.focal / face.lens.focal
+    moved = {i: state for i, state in zip(chosen, states, strict=True)}
+    for i, one in enumerate(tracked):
+        state = moved.get(i, replace(one.state, t=one.state.t * np.array([1, 1, ratio])))
+        tracked[i] = replace(one, state=state)
+    face = fit.face_of(face.rig, lens, face.markers, face.samples, face.skin, face.limits)
+    return face, tracked
+
+
+def _size(one: Tracked) -> float:
+    return float(one.state.weights.sum())
+
+
+def _teachers(tracked: list[Tracked], teaching: np.ndarray) -> list[Tracked]:
+    return [one for one, may in zip(tracked, teaching, strict=True) if may and one.quality >= _WORSE]
+
+
+def _posed(face: Face, tracked: list[Tracked]) -> np.ndarray:
+    """(F, p, 3) the detector's points on the posed head."""
+    return np.stack([face.marker_rider.at(one.state.weights) for one in tracked])
+
+
+def evidence(tracked: list[Tracked], teaching: np.ndarray) -> np.ndarray:
+    """
+    (a,) in 0..1: x / (1 + x) with x = 4 sum over the teaching frames of q w_u^2, w_u the part of a shape's weights that
+    the other shapes' do not explain linearly: one frame at half weight, alone, gives 0.5.
+    """
+    good = _teachers(tracked, teaching)
+    if not good:
+        return np.zeros(len(tracked[0].state.weights)) if tracked else np.zeros(0)
+    W = np.array([one.state.weights for one in good]) * np.sqrt([one.quality for one in good])[:, None]
+    out = np.zeros(W.shape[1])
+    gram = W.T @ W + 0.05 * np.eye(W.shape[1])
+    inverse = np.linalg.inv(gram)
+    alone = np.maximum(1 / np.diag(inverse) - 0.05, 0)  # the Schur complement: what remains of a column
+    shown = W.max(axis=0) > 0.05
+    x = 4 * alone
+    out[shown] = (x / (1 + x))[shown]
+    return out

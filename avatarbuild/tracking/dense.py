@@ -1,0 +1,103 @@
+"""
+Where the frame shows each point of the skin: dense optical flow from the head as it is drawn to the frame.
+
+A drawn head that is off by more than the footprint of equation (6) is out of that energy's reach; patches searched over
+the pyramid find it [DIS; Kroeger et al. 2016]. What the flow there and back does not agree on is left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from avatarbuild.geometry.mipmap import Mipmap, sample_texture
+from avatarbuild.geometry.raster import rasterise
+from avatarbuild.tracking.frames import Frame
+from avatarbuild.tracking.lens import Lens
+from avatarbuild.tracking.rig import Places
+
+LEVEL = 1  # of the pyramid, that the flow is computed at
+_FLAT = 3.0  # pixels: the spread of the mean that is taken off both pictures
+_GREY = 40.0  # grey levels of a standard deviation
+_FAINT = 0.01  # of the logarithm: fainter texture stays faint
+_AGREE = 1.0  # pixels at that level: flow there and back
+_CELL = 5  # one target for so many pixels square
+_FACING = 0.35
+_WAY = 24.0  # pixels at that level: no face moves farther between what is drawn and what is seen
+
+
+@dataclass(frozen=True)
+class Targets:
+    """places of p points of the skin, their pictures (p, 2) pixels in a frame, and their share of those looked for."""
+
+    places: Places
+    pictures: np.ndarray
+    share: float
+
+
+def targets(
+    frame: Frame,
+    posed: np.ndarray,
+    triangles: np.ndarray,
+    region: np.ndarray,
+    texture: tuple[Mipmap, np.ndarray, np.ndarray],
+    lens: Lens,
+    R: np.ndarray,
+    t: np.ndarray,
+) -> Targets:
+    """
+    posed (n, 3) in the head frame; triangles (m, 3) of the skin, region (m,) bool those that have a texture: the
+    logarithm of its grey as a mipmap with uv (u, 2) and uv_triangles (m, 3).
+    """
+    scale = float(1 << LEVEL)
+    seen = frame.pyramid[LEVEL]
+    h, w = seen.shape
+    camera = posed @ R.T + t
+    pixels = (lens.project(camera)[0] - frame.corner) / scale
+    raster = rasterise(pixels, camera[:, 2], triangles, (w, h))
+    mipmap, uv, uv_triangles = texture
+    drawn = sample_texture(mipmap, raster, pixels, camera[:, 2], triangles, uv, uv_triangles)[..., 0]
+    a, b, c = (camera[triangles[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    middle = a + b + c
+    facing = -np.einsum("ij,ij->i", normal, middle) / (
+        np.linalg.norm(normal, axis=1) * np.linalg.norm(middle, axis=1) + 1e-12
+    )
+    on = np.append(region & (facing > _FACING), False)[raster.triangle]
+    if on.sum() < 400:
+        return Targets(Places(np.zeros(0, np.int64), np.zeros((0, 3))), np.zeros((0, 2)), 0.0)
+    ours, theirs = _levelled(drawn, on), _levelled(seen, on)
+    there = _flow(ours, theirs)
+    back = _flow(theirs, ours)
+    i, j = np.mgrid[0:h, 0:w].astype(np.float32)
+    to_x, to_y = j + there[..., 0], i + there[..., 1]
+    returned = cv2.remap(back, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(1e3, 1e3))
+    agree = np.linalg.norm(there + returned, axis=2) < _AGREE
+    inner = cv2.erode(on.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    good = inner & agree & (np.linalg.norm(there, axis=2) < _WAY)
+    cells = np.zeros_like(good)
+    cells[_CELL // 2 :: _CELL, _CELL // 2 :: _CELL] = True
+    row, column = np.nonzero(good & cells)
+    # the barycentric point of a pixel is where its centre meets the surface
+    at = np.stack([to_x[row, column], to_y[row, column]], axis=1) + 0.5
+    places = Places(raster.triangle[row, column].astype(np.int64), raster.barycentric[row, column].astype(np.float64))
+    share = len(row) / max(int((inner & cells).sum()), 1)
+    return Targets(places, at * scale + frame.corner, share)
+
+
+def _levelled(picture: np.ndarray, on: np.ndarray) -> np.ndarray:
+    """uint8 of the picture on the face, flat beyond it: less its local mean there, over its local spread."""
+    inside = np.maximum(cv2.GaussianBlur(on.astype(np.float32), (0, 0), _FLAT), 1e-3)
+    value = np.where(on, picture, 0).astype(np.float32)
+    detail = np.where(on, picture - cv2.GaussianBlur(value, (0, 0), _FLAT) / inside, 0).astype(np.float32)
+    spread = np.sqrt(cv2.GaussianBlur(detail * detail, (0, 0), _FLAT) / inside)
+    return np.clip(128 + _GREY * detail / (spread + _FAINT), 0, 255).astype(np.uint8)
+
+
+def _flow(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(h, w, 2) float32 pixels from a to b, both (h, w) uint8."""
+    engine = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    engine.setFinestScale(0)
+    return engine.calc(a, b, None)

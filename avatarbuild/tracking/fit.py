@@ -1,0 +1,244 @@
+"""
+Pose and weights of one frame: equation (4) of the method, min E_feature + E_flow + E_sparse [Ichim et al. 2015].
+
+Gauss-Newton, coarse to fine; in each step the pose and the weights alternate to convergence on one quadratic, the
+weights by coordinate descent within their bounds. a active shapes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from avatarbuild.energies import texture_flow
+from avatarbuild.solvers.boxed import boxed, reduced
+from avatarbuild.tracking import dense
+from avatarbuild.tracking.frames import Frame
+from avatarbuild.tracking.lens import Lens
+from avatarbuild.tracking.markers import SKIN, Markers
+from avatarbuild.tracking.markers import rows as marker_rows
+from avatarbuild.tracking.rig import Rider, Rig
+from avatarbuild.tracking.samples import Samples, visible
+
+LEAST_ROWS = 20  # differences of the texture, fewer of which say nothing
+
+
+@dataclass(frozen=True)
+class Weights:
+    """
+    Of the energies, each normalised: squares of markers in (marker_sd mm)^2, of flow in its own robust spread. `flow` is
+    the worth of a level's samples altogether, in markers; `sparse` and `temporal` are worths of a unit of weight.
+    """
+
+    marker_sd: float = 1.5
+    marker_reach: float = 10.0
+    target_sd: float = 0.4
+    target_reach: float = 1.5
+    flow: float = 3000.0
+    sparse: float = 100.0
+    ridge: float = 10.0
+    score: float = 400.0
+    temporal: float = 0.0
+
+
+@dataclass(frozen=True)
+class State:
+    """x_cam = R x + t; weights (a,)."""
+
+    R: np.ndarray
+    t: np.ndarray
+    weights: np.ndarray
+
+
+@dataclass(frozen=True)
+class Face:
+    """
+    What all frames share: the rig with its a active shapes, the lens, markers and samples as riders on that rig, the
+    skin's triangles (m, 3), and limits: pairs (i, j) of active shapes with w_i <= w_j.
+    """
+
+    rig: Rig
+    lens: Lens
+    markers: Markers
+    marker_rider: Rider
+    samples: list[Samples]
+    sample_riders: list[Rider]
+    skin: np.ndarray
+    limits: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True)
+class Pinned:
+    """Points of a face that a frame shows: markers on a rider, their pictures (q, 2), what each is worth (q,) mm^-2,
+    and the distance in mm from which it counts less."""
+
+    markers: Markers
+    rider: Rider
+    pictures: np.ndarray
+    worth: np.ndarray
+    reach: float
+
+    def rows(self, face: Face, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """r (2 q,) mm, J (2 q, 6 + a) and robust worths (2 q,) at a state."""
+        r, J = marker_rows(self.rider, self.markers, state.weights, self.pictures, face.lens, state.R, state.t)
+        worth = self.worth / (1 + (np.hypot(r[0::2], r[1::2]) / self.reach) ** 2)
+        return r, J, np.repeat(worth, 2)
+
+
+def face_of(
+    rig: Rig,
+    lens: Lens,
+    markers: Markers,
+    samples: list[Samples],
+    skin: np.ndarray,
+    limits: tuple[tuple[int, int], ...],
+) -> Face:
+    riders = [rig.rider(level.places) for level in samples]
+    return Face(rig, lens, markers, rig.rider(markers.places), samples, riders, skin, limits)
+
+
+def detected(face: Face, frame: Frame, w: Weights) -> list[Pinned]:
+    """The detector's points, if it found any."""
+    if not np.isfinite(frame.presence):
+        return []
+    worth = face.markers.weight * frame.presence / w.marker_sd**2
+    return [Pinned(face.markers, face.marker_rider, frame.marks[:SKIN, :2], worth, w.marker_reach)]
+
+
+def found(face: Face, targets: dense.Targets, w: Weights) -> list[Pinned]:
+    """The points that dense flow found, if any."""
+    q = len(targets.pictures)
+    if not q:
+        return []
+    still = Markers(targets.places, np.zeros((q, 3)), np.ones(q), np.zeros(q, bool))
+    worth = np.full(q, 1 / w.target_sd**2)
+    return [Pinned(still, face.rig.rider(targets.places), targets.pictures, worth, w.target_reach)]
+
+
+def seen_samples(face: Face, level: int, state: State) -> np.ndarray:
+    """(S,) bool: which samples of a level the camera sees at a state."""
+    posed = face.rig.posed(state.weights)
+    rider = face.sample_riders[level]
+    points = rider.at(state.weights).reshape(-1, 3, 3)
+    normal = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    return visible(points[:, 0], normal, posed, face.skin, face.lens, state.R, state.t)
+
+
+def flow(face: Face, frame: Frame, level: int, state: State, seen: np.ndarray) -> texture_flow.Sight:
+    """What the frame shows where a level's samples `seen` (S,) are at a state."""
+    points = face.sample_riders[level].at(state.weights).reshape(-1, 3, 3)
+    scale = float(1 << level)
+    picture = frame.pyramid[level]
+    return texture_flow.sight(points, seen, picture, frame.corner, scale, face.lens.parameters, state.R, state.t)
+
+
+def flow_worth(r: np.ndarray, known: np.ndarray, w: Weights) -> np.ndarray:
+    """(S, 2) worths of residuals r (S, 2): w.flow altogether for perfect ones, falling off beyond twice their spread."""
+    if known.sum() < LEAST_ROWS:
+        return np.zeros(r.shape)
+    sd = spread(r[known])
+    return np.where(known, w.flow / known.sum() / sd**2 / (1 + (r / (2 * sd)) ** 2) ** 2, 0)
+
+
+def spread(r: np.ndarray) -> float:
+    """The standard deviation of the bulk of residuals: 1.4826 times the median of their size."""
+    return max(1.4826 * float(np.median(np.abs(r))), 1e-4) if len(r) else 1.0
+
+
+def system(
+    face: Face,
+    frame: Frame,
+    pinned: list[Pinned],
+    state: State,
+    level: int | None,
+    seen: np.ndarray | None,
+    w: Weights,
+) -> tuple[np.ndarray, np.ndarray]:
+    """A (6 + a, 6 + a) and b of a Gauss-Newton step; level None: without flow."""
+    a = len(state.weights)
+    A, b = np.zeros((6 + a, 6 + a)), np.zeros(6 + a)
+    for points in pinned:
+        r, J, worth = points.rows(face, state)
+        A += J.T @ (worth[:, None] * J)
+        b -= J.T @ (worth * r)
+    if level is not None and seen is not None:
+        sight = flow(face, frame, level, state, seen)
+        r, known = texture_flow.residuals(face.samples[level].rho, sight)
+        worth = flow_worth(r, known, w).ravel()
+        rows = np.flatnonzero(worth)
+        a3 = face.sample_riders[level].moves.reshape(len(r), 3, 3, -1)
+        J = texture_flow.jacobian(a3, sight)[rows]
+        A += J.T @ (worth[rows, None] * J)
+        b -= J.T @ (worth[rows] * r.ravel()[rows])
+    return A, b
+
+
+def step(
+    A: np.ndarray, b: np.ndarray, state: State, frame: Frame, face: Face, w: Weights, before: np.ndarray | None
+) -> State:
+    """The state after one Gauss-Newton step with bounds, l1, ridge and the pull to the weights `before` (a,)."""
+    a = len(state.weights)
+    A = A.copy()
+    # written in the weights themselves, not in their change
+    b = b + A[:, 6:] @ state.weights
+    b[6:] -= w.sparse
+    A[range(6, 6 + a), range(6, 6 + a)] += w.ridge + w.temporal
+    if before is not None:
+        b[6:] += w.temporal * before
+    pull = np.where(np.isfinite(frame.scores), w.score, 0.0)
+    A[range(6, 6 + a), range(6, 6 + a)] += pull
+    b[6:] += pull * np.nan_to_num(frame.scores)
+    A[range(6), range(6)] += 1e-9
+    S, r, D, d = reduced(A, b, 6)
+    found = boxed(S, r, frame.low, frame.high, state.weights)
+    for i, j in face.limits:
+        found[i] = min(found[i], found[j])
+    pose = d - D @ found
+    return State(turned(pose[:3]) @ state.R, state.t + pose[3:], found)
+
+
+def turned(turn: np.ndarray) -> np.ndarray:
+    """exp([turn]_x) by Rodrigues' formula."""
+    angle = float(np.linalg.norm(turn))
+    if angle < 1e-12:
+        return np.eye(3)
+    x, y, z = turn / angle
+    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
+
+
+def fit_points(
+    face: Face, frame: Frame, pinned: list[Pinned], start: State, w: Weights, *, rigid: int, steps: int
+) -> State:
+    """The state by points alone: in the first `rigid` steps the pose, then the weights as well."""
+    state = start
+    for i in range(rigid + steps):
+        A, b = system(face, frame, pinned, state, None, None, w)
+        if i < rigid:
+            still = np.linalg.solve(A[:6, :6] + 1e-9 * np.eye(6), b[:6])
+            state = replace(state, R=turned(still[:3]) @ state.R, t=state.t + still[3:])
+        else:
+            state = step(A, b, state, frame, face, w, None)
+    return state
+
+
+def fit(
+    face: Face,
+    frame: Frame,
+    pinned: list[Pinned],
+    start: State,
+    w: Weights,
+    levels: tuple[int, ...],
+    steps: int,
+    before: np.ndarray | None = None,
+) -> State:
+    """The state by points and flow, over the `levels` of the pyramid in that order."""
+    state = start
+    for level in levels:
+        seen = seen_samples(face, level, state)
+        for _ in range(steps):
+            A, b = system(face, frame, pinned, state, level, seen, w)
+            state = step(A, b, state, frame, face, w, before)
+    return state

@@ -1,0 +1,64 @@
+"""Frames of a video as the tracker sees them: the logarithm of grey about the face, in a pyramid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from avatarbuild.tracking.samples import log_grey
+
+LEVELS = 4  # of the pyramid, each half the size of the one before
+_ROOM = 0.2  # of the face's size, kept about it on all sides
+_BLUR = 0.6  # pixels: takes off the noise and the block borders that single pixels have
+
+
+@dataclass(frozen=True)
+class Frame:
+    """
+    number among the decoded frames, time s; marks (478, 3) pixels of the detector and its presence, NaN where it found
+    nothing; scores (a,) its opinion of the shapes' weights, NaN where it has none; low, high (a,) the weights' bounds; corner (2,) pixels of the
+    crop and its pyramid, finest first.
+    """
+
+    number: int
+    time: float
+    marks: np.ndarray
+    presence: float
+    scores: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    corner: np.ndarray
+    pyramid: list[np.ndarray]
+
+
+def frame(
+    number: int,
+    time: float,
+    rgb: np.ndarray,
+    marks: np.ndarray,
+    presence: float,
+    scores: np.ndarray,
+    box: np.ndarray,
+) -> Frame:
+    """scores (a,); box (2, 2) pixels: low and high corner of the face. The weights' bounds are 0 and 1."""
+    h, w = rgb.shape[:2]
+    room = _ROOM * float((box[1] - box[0]).max())
+    unit = 1 << (LEVELS - 1)
+    low = np.clip(np.floor((box[0] - room) / unit) * unit, 0, [max(w - 2 * unit, 0), max(h - 2 * unit, 0)]).astype(int)
+    high = np.clip(np.ceil((box[1] + room) / unit) * unit, low + 2 * unit, [w, h]).astype(int)
+    grey = log_grey(np.ascontiguousarray(rgb[low[1] : high[1], low[0] : high[0]]))
+    pyramid = []
+    for level in range(LEVELS):
+        if level:
+            grey = grey[: grey.shape[0] // 2 * 2, : grey.shape[1] // 2 * 2]
+            grey = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        pyramid.append(cv2.GaussianBlur(grey, (0, 0), _BLUR))
+    a = len(scores)
+    return Frame(number, time, marks, presence, scores, np.zeros(a), np.ones(a), low.astype(np.float64), pyramid)
+
+
+def box_of(marks: np.ndarray) -> np.ndarray:
+    """(2, 2) low and high corner of the detector's points (478, 2 or more)."""
+    return np.stack([marks[:468, :2].min(axis=0), marks[:468, :2].max(axis=0)])

@@ -1,0 +1,66 @@
+"""Where the eyes look: the detector's iris points on the eyeballs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from avatarbuild.template import ARKIT_NAMES, Template
+from avatarbuild.tracking.lens import Lens
+
+_IRISES = (473, 468)  # the detector's middle of the left and of the right iris
+_IRIS_DEPTH = 10.4 / 12  # of the eyeball's radius: from its centre to the plane of the iris
+_SIDES = ("Left", "Right")
+
+
+def gaze(
+    marks: np.ndarray, centres: np.ndarray, radius: np.ndarray, lens: Lens, R: np.ndarray, t: np.ndarray
+) -> np.ndarray:
+    """
+    (2, 2) radians, yaw and pitch of the left and right eye: where the ray through the middle of the iris, marks (478, 2
+    or more) pixels, meets the sphere that its plane touches; NaN where it misses.
+
+    centres (2, 3) and radius (2,) mm of the eyeballs in the head frame. Yaw is positive to the subject's left, pitch
+    up.
+    """
+    out = np.full((2, 2), np.nan)
+    w, h = lens.size
+    eye = -R.T @ t
+    for side, iris in enumerate(_IRISES):
+        flat = (marks[iris, :2] - (w / 2, h / 2)) / lens.focal
+        ray = R.T @ np.array([flat[0], flat[1], 1.0])
+        ray /= np.linalg.norm(ray)
+        to = eye - centres[side]
+        along = float(ray @ to)
+        inside = along**2 - float(to @ to) + (_IRIS_DEPTH * radius[side]) ** 2
+        # a ray that passes by just outside still tells the direction
+        at = to + ray * (-along - np.sqrt(max(inside, 0.0)))
+        if inside > -((0.5 * radius[side]) ** 2):
+            out[side] = np.arctan2(at[0], at[2]), np.arctan2(at[1], np.hypot(at[0], at[2]))
+    return out
+
+
+def look_weights(template: Template, angles: np.ndarray) -> np.ndarray:
+    """(52,) the eyeLook weights of gaze angles (2, 2), zero elsewhere and where they are NaN: an eye's turn over the
+    shape's own at weight 1."""
+    out = np.zeros(len(ARKIT_NAMES))
+    for side, name in enumerate(_SIDES):
+        yaw, pitch = np.nan_to_num(angles[side])
+        outwards = yaw if name == "Left" else -yaw
+        for way, angle in (("Out", outwards), ("In", -outwards), ("Up", pitch), ("Down", -pitch)):
+            shape = f"eyeLook{way}{name}"
+            if shape in template.eye_rotations:
+                full = np.radians(template.eye_rotations[shape].degrees)
+                out[template.expression_index[shape]] = np.clip(angle / full, 0, 1)
+    return out
+
+
+def held(angles: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """angles (f, 2, 2) with those not `known` (f, 2) or NaN interpolated from the frames before and after."""
+    out = np.zeros_like(angles)
+    at = np.arange(len(angles))
+    for side in range(2):
+        good = known[:, side] & np.isfinite(angles[:, side]).all(axis=1)
+        if good.any():
+            for k in range(2):
+                out[:, side, k] = np.interp(at, at[good], angles[good, side, k])
+    return out

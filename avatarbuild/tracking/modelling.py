@@ -1,0 +1,210 @@
+"""
+The person's own shapes from all frames together, tracking fixed: equations (8) to (10) [Ichim et al. 2015].
+
+  min_c  sum_f E_feature + E_flow  +  sum_j || y_j ||_K^2,        c_j = s_j y_j
+
+c_0 corrects the neutral and c_j the j-th shape's displacement; x_f = b_0 + c_0 + sum_j w_fj (B_j + c_j). s_j (n,) mm
+says how far a shape may stray at each vertex: in proportion to how far it moves there, so that what several shapes
+could explain is shared in proportion to their motion, and a shape keeps its place on the face. K makes y a smooth
+random field of unit variance and correlation length l (Matern; Lindgren et al. 2011): with M the vertex areas and L
+the Laplacian,
+
+  K = (kappa^2 M - L) M^-1 (kappa^2 M - L) / (4 pi kappa^2),   kappa = sqrt(2) / l,
+
+which is closeness (9) and smoothness (10) with g4 : g5 : g6 = kappa^4 : 2 kappa^2 : 1. Matrix-free conjugate gradients,
+preconditioned by one factor of K for all shapes. n free vertices, a shapes, F frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from avatarbuild.energies import texture_flow
+from avatarbuild.geometry import meshes
+from avatarbuild.solvers.sparse import Factor, conjugate_gradients
+from avatarbuild.template import Template
+from avatarbuild.tracking import fit
+from avatarbuild.tracking.fit import Face, Pinned, State, Weights
+from avatarbuild.tracking.frames import Frame
+from avatarbuild.tracking.rig import Places, Rig
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """How far shapes may stray: `share` of their own motion, spread over `reach` mm, plus `least` mm where they move;
+    `neutral` mm for the face at rest; `length` mm over which deviations agree; `worth` of the data beside tracking's."""
+
+    share: float = 0.3
+    least: float = 0.15
+    reach: float = 12.0
+    depth: float = 0.15
+    neutral: float = 0.2
+    length: float = 40.0
+    worth: float = 0.3
+    steps: int = 40
+    tolerance: float = 1e-2
+
+
+class Space:
+    """The free vertices of a head, their prior K and how far each of a shapes may stray: `stray` (1 + a, n)."""
+
+    def __init__(self, template: Template, rig: Rig, axis: np.ndarray, freedom: Freedom) -> None:
+        skin = template.parts["skin"]
+        r = template.regions
+        free = (r["face"] | r["nose"] | r["lips"] | r["lids"]) & ~(r["mouth"] | r["sockets"] | r["ears"])
+        free[skin.vertices.stop :] = False
+        self.free = np.flatnonzero(free)
+        count = skin.vertices.stop
+        triangles = template.triangles[skin.triangles].astype(np.int64)
+        rest = rig.neutral[:count]
+        mass, L = meshes.vertex_areas(rest, triangles), meshes.laplacian(rest, triangles)
+        kappa2 = 2 / freedom.length**2
+        root = (sp.diags(kappa2 * mass) - L)[:, self.free]
+        K = root.T @ sp.diags(1 / np.maximum(mass, 1e-6)) @ root / (4 * np.pi * kappa2)
+        self.prior = sp.csr_matrix(K)
+        self.factor = Factor(self.prior)
+        # motions spread by one implicit step of the heat equation
+        heat = Factor(sp.csc_matrix(sp.diags(np.maximum(mass, 1e-6)) - freedom.reach**2 / 2 * L))
+        size = np.linalg.norm(rig.deltas[:, :count], axis=2)
+        spread = np.maximum(heat.solve((size * np.maximum(mass, 1e-6)).T), 0).T[:, self.free]
+        least = freedom.least * np.minimum(spread / 0.5, 1)
+        along = np.outer(axis, axis)
+        self.turn = np.eye(3) - (1 - freedom.depth) * along
+        self.back = np.eye(3) - (1 - 1 / freedom.depth) * along
+        self.stray = np.concatenate([np.full((1, len(self.free)), freedom.neutral), freedom.share * spread + least])
+
+
+def data_rows(
+    face: Face,
+    frame: Frame,
+    pinned: list[Pinned],
+    state: State,
+    levels: tuple[int, ...],
+    w: Weights,
+    worth: float,
+    column: np.ndarray,
+) -> tuple[sp.csr_matrix, np.ndarray]:
+    """
+    G (q, 3 n) and r (q,), scaled: the frame's residuals are r + G d, where d (n, 3) mm displaces the free vertices.
+
+    column (N,): a vertex's place among the free ones, -1 for others.
+    """
+    triangles = face.rig.triangles
+    blocks, residuals = [], []
+    for points in pinned:
+        r, J, each = points.rows(face, state)
+        scale = np.sqrt(worth * each)
+        at = points.markers.places
+        twice = Places(np.repeat(at.triangle, 2), np.repeat(at.barycentric, 2, axis=0))
+        slope = J[:, 3:6] @ state.R  # a point's own motion in the head frame does what a shift of the head does
+        blocks.append(_spread_rows(np.arange(len(r)), twice, slope * scale[:, None], triangles, column, len(r)))
+        residuals.append(r * scale)
+    for level in levels:
+        seen = fit.seen_samples(face, level, state)
+        sight = fit.flow(face, frame, level, state, seen)
+        r, known = texture_flow.residuals(face.samples[level].rho, sight)
+        scale = np.sqrt(worth / len(levels) * fit.flow_worth(r, known, w))
+        q = 2 * len(r)
+        places = face.samples[level].places
+        triangle = places.triangle.reshape(-1, 3)
+        barycentric = places.barycentric.reshape(-1, 3, 3)
+        block = sp.csr_matrix((q, 3 * int(column.max() + 1)))
+        for k in (1, 2):
+            row = 2 * np.arange(len(r)) + k - 1
+            for end, sign in ((0, 1.0), (k, -1.0)):
+                slope = sign * sight.slope[:, end] * scale[:, k - 1, None]
+                block = block + _spread_rows(
+                    row, Places(triangle[:, end], barycentric[:, end]), slope, triangles, column, q
+                )
+        keep = np.flatnonzero(scale.ravel())
+        blocks.append(block[keep])
+        residuals.append((r * scale).ravel()[keep])
+    return sp.csr_matrix(sp.vstack(blocks)), np.concatenate(residuals)
+
+
+def _spread_rows(
+    row: np.ndarray, places: Places, slope: np.ndarray, triangles: np.ndarray, column: np.ndarray, q: int
+) -> sp.csr_matrix:
+    """(q, 3 n): slope (p, 3) of rows (p,) by points, handed on to the corners of their triangles."""
+    corners = column[triangles[places.triangle]]
+    values = places.barycentric[:, :, None] * slope[:, None, :]
+    columns = 3 * corners[:, :, None] + np.arange(3)
+    good = np.broadcast_to((corners >= 0)[:, :, None], values.shape)
+    rows = np.broadcast_to(row[:, None, None], values.shape)
+    return sp.csr_matrix((values[good], (rows[good], columns[good])), shape=(q, 3 * int(column.max() + 1)))
+
+
+def gauge(rig: Rig, base: Rig, states: list[State]) -> tuple[Rig, list[State]]:
+    """
+    The same poses with shapes whose projection on the transferred ones is 1: B_j / s_j and w_j s_j, s_j = <B_j, B*_j> /
+    <B*_j, B*_j>. Without it the l1 term shrinks weights and modelling blows up shapes, round by round.
+    """
+    s = np.einsum("jnc,jnc->j", rig.deltas, base.deltas) / np.maximum(
+        np.einsum("jnc,jnc->j", base.deltas, base.deltas), 1e-12
+    )
+    s = np.clip(s, 0.5, 2)
+    scaled = Rig(rig.neutral, rig.deltas / s[:, None, None], rig.triangles)
+    return scaled, [State(state.R, state.t, np.clip(state.weights * s, 0, 1)) for state in states]
+
+
+def learn(
+    space: Space,
+    face: Face,
+    base: Rig,
+    frames: list[Frame],
+    pinned: list[list[Pinned]],
+    states: list[State],
+    levels: tuple[int, ...],
+    w: Weights,
+    freedom: Freedom,
+) -> Rig:
+    """
+    The rig that explains the frames best near `base`, the transferred one; `face.rig` is the one the frames were
+    tracked with and linearised at.
+    """
+    n, a = len(space.free), len(base.deltas)
+    column = np.full(len(base.neutral), -1)
+    column[space.free] = np.arange(n)
+    weights = np.concatenate([np.ones((len(states), 1)), [s.weights for s in states]], axis=1)
+
+    def strayed(y: np.ndarray) -> np.ndarray:
+        return space.stray[:, :, None] * (y @ space.turn)
+
+    present = np.concatenate(
+        [(face.rig.neutral - base.neutral)[None, space.free], (face.rig.deltas - base.deltas)[:, space.free]]
+    )
+    y0 = (present @ space.back) / space.stray[:, :, None]
+    G, target = [], np.zeros((len(states), 3 * n))
+    here = (weights @ present.reshape(1 + a, -1)).reshape(len(states), -1)
+    for i, (frame, points, state) in enumerate(zip(frames, pinned, states, strict=True)):
+        rows, r = data_rows(face, frame, points, state, levels, w, freedom.worth, column)
+        G.append(rows)
+        target[i] = rows.T @ (rows @ here[i] - r)
+
+    def data(y: np.ndarray) -> np.ndarray:
+        moved = weights @ strayed(y).reshape(1 + a, -1)
+        pulled = np.stack([g.T @ (g @ d) for g, d in zip(G, moved, strict=True)])
+        return strayed((weights.T @ pulled).reshape(1 + a, n, 3))
+
+    def columns(y: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(y.transpose(1, 0, 2).reshape(n, -1))
+
+    def back(y: np.ndarray) -> np.ndarray:
+        return y.reshape(n, 1 + a, 3).transpose(1, 0, 2)
+
+    y = conjugate_gradients(
+        lambda y: data(y) + back(space.prior @ columns(y)),
+        strayed((weights.T @ target).reshape(1 + a, n, 3)),
+        y0,
+        lambda y: back(space.factor.solve(columns(y))),
+        freedom.steps,
+        freedom.tolerance,
+    )
+    change = strayed(y)
+    neutral, deltas = base.neutral.copy(), base.deltas.copy()
+    neutral[space.free] += change[0]
+    deltas[:, space.free] += change[1:]
+    return Rig(neutral, deltas, base.triangles)
