@@ -180,3 +180,15 @@ def test_box_average_undoes_supersampling():
     big = image.repeat(3, axis=0).repeat(3, axis=1)
     np.testing.assert_allclose(box_average(big, 3), image, rtol=1e-6)
     np.testing.assert_allclose(box_average(big[..., 0], 3), image[..., 0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 4, 5, 6])
+def test_every_channel_is_sampled(channels: int) -> None:
+    pixels = np.array([[0.0, 0], [16, 0], [16, 16], [0, 16]])
+    uv = np.array([[0.0, 1], [1, 1], [1, 0], [0, 0]])
+    triangles = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    drawn = rasterise(pixels, np.ones(4), triangles, (16, 16))
+    levels = np.arange(1.0, channels + 1)
+    texture = np.tile(levels, (32, 32, 1))
+    found = sample_texture(build_mipmap(texture), drawn, pixels, np.ones(4), triangles, uv, triangles)
+    np.testing.assert_allclose(found, np.tile(levels, (16, 16, 1)), rtol=1e-6)

@@ -11,7 +11,7 @@ from avatarbuild.formats.images import photo_facts, read_photo
 from avatarbuild.formats.video import decode_frames
 from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.geometry.mipmap import build_mipmap
-from avatarbuild.simulation import truth
+from avatarbuild.simulation import noise, truth
 from avatarbuild.simulation.capture import SimulationOptions, simulate
 from avatarbuild.simulation.light import Light, _with_harmonics, harmonic_basis, occlusion, room_light
 from avatarbuild.simulation.noise import cells, fractal, plane
@@ -80,6 +80,24 @@ def test_noise_is_centred_of_unit_size_and_repeats():
     assert distance.min() >= 0
     assert distance.max() < 40
     assert 0.4 < label.mean() < 0.6
+
+
+def test_cells_leave_no_nearer_point_out() -> None:
+    """Against all 27 cells about each place."""
+    p = np.random.default_rng(1).uniform(-40, 40, (60, 3)).astype(np.float32)
+    size, seed = 7.0, 5
+    hashed = noise._hash.py_func
+    found = []
+    for x in p.astype(float) / size:
+        near = []
+        for step in np.ndindex(3, 3, 3):
+            cell = [int(c) for c in np.floor(x) + step - 1]
+            h = hashed(*(c + int(noise._LATTICE) for c in cell), seed)
+            g = hashed(h & 0xFFFFF, (h >> 12) & 0xFFFFF, 7, seed + 1)
+            scattered = np.array(cell) + np.array([h & 1023, (h >> 10) & 1023, g & 1023]) / 1023
+            near.append(np.linalg.norm(scattered - x))
+        found.append(size * min(near))
+    np.testing.assert_allclose(cells(p, size, seed)[0], found, rtol=1e-4)
 
 
 def test_a_matt_head_in_uniform_light_shows_its_albedo():

@@ -13,6 +13,8 @@ import numpy as np
 
 from avatarbuild.geometry.raster import Raster
 
+MOST_CHANNELS = 6
+
 
 class Mipmap(NamedTuple):
     """A texture and its ever coarser means, in one array: level k is texels[starts[k]:starts[k + 1]], row by row.
@@ -26,7 +28,9 @@ class Mipmap(NamedTuple):
 
 
 def build_mipmap(texture: np.ndarray) -> Mipmap:
-    """The texture (th, tw, c) and its means over 2 x 2, 4 x 4 … texels, down to 4 texels on the shorter side."""
+    """The texture (th, tw, c), c up to MOST_CHANNELS, and its means over 2 x 2, 4 x 4 … texels, down to 4 texels on the
+    shorter side."""
+    assert texture.shape[2] <= MOST_CHANNELS
     level = np.ascontiguousarray(texture, np.float32)
     levels = [level]
     while min(level.shape[:2]) >= 8:
@@ -85,39 +89,38 @@ def sample_texture(
 
 
 @numba.njit(cache=True, inline="always")
-def _texel(i: int, n: int, repeat: bool) -> int:
-    return i % n if repeat else min(max(i, 0), n - 1)
+def _floor(x: float) -> int:
+    i = int(x)  # truncated; cheaper than np.floor
+    return i - 1 if i > x else i
 
 
 @numba.njit(cache=True, inline="always")
-def _add_bilinear(
-    texels: np.ndarray,
-    channels: int,
-    start: int,
-    th: int,
-    tw: int,
-    u: float,
-    v: float,
-    repeat: bool,
-    weight: float,
-    total: np.ndarray,
-) -> None:
-    """total += weight * texture(u, v), texels flat."""
-    x, y = u * tw - 0.5, (1.0 - v) * th - 0.5
-    j, i = int(np.floor(x)), int(np.floor(y))
-    fx, fy = np.float32(x - j), np.float32(y - i)
-    one, share = np.float32(1), np.float32(weight)
-    j0, j1 = _texel(j, tw, repeat), _texel(j + 1, tw, repeat)
-    i0, i1 = start + _texel(i, th, repeat) * tw, start + _texel(i + 1, th, repeat) * tw
-    a, b = np.uint64((i0 + j0) * channels), np.uint64((i0 + j1) * channels)
-    c, d = np.uint64((i1 + j0) * channels), np.uint64((i1 + j1) * channels)
-    wa, wb = share * (one - fx) * (one - fy), share * fx * (one - fy)
-    wc, wd = share * (one - fx) * fy, share * fx * fy
-    for k in range(np.uint64(channels)):
-        total[k] += wa * texels[a + k] + wb * texels[b + k] + wc * texels[c + k] + wd * texels[d + k]
+def _corners(j: int, i: int, start: int, th: int, tw: int, repeat: bool) -> tuple[int, int, int, int]:
+    """Texels (i, j), (i, j + 1), (i + 1, j), (i + 1, j + 1) of a level."""
+    if 0 <= j < tw - 1 and 0 <= i < th - 1:
+        a = start + i * tw + j
+        return a, a + 1, a + tw, a + tw + 1
+    if repeat:
+        j0, j1, i0, i1 = j % tw, (j + 1) % tw, i % th, (i + 1) % th
+    else:
+        j0, j1 = min(max(j, 0), tw - 1), min(max(j + 1, 0), tw - 1)
+        i0, i1 = min(max(i, 0), th - 1), min(max(i + 1, 0), th - 1)
+    i0, i1 = start + i0 * tw, start + i1 * tw
+    return i0 + j0, i0 + j1, i1 + j0, i1 + j1
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
+@numba.njit(cache=True, inline="always")
+def _mix(
+    texels: np.ndarray, corners: tuple[int, int, int, int], weights: tuple[float, float, float, float], lane: int
+) -> float:
+    a, b, c, d = corners
+    wa, wb, wc, wd = weights
+    a, b, c, d = np.uint64(a + lane), np.uint64(b + lane), np.uint64(c + lane), np.uint64(d + lane)
+    return wa * texels[a] + wb * texels[b] + wc * texels[c] + wd * texels[d]
+
+
+# Products may be fused with sums; the rest of fastmath would let results depend on how the loop is vectorised.
+@numba.njit(cache=True, parallel=True, error_model="numpy", fastmath={"contract"})
 def _sample(
     texels: np.ndarray,
     channels: int,
@@ -139,10 +142,14 @@ def _sample(
     h, w = triangle.shape
     top_level = len(shapes) - 1
     th, tw = shapes[0]
+    one, none = np.float32(1), np.float32(0)
+    # Six sums in registers are a third faster than an array of `channels`; the idle ones repeat the last channel.
+    last = channels - 1
+    k1, k2, k3, k4 = min(1, last), min(2, last), min(3, last), min(4, last)
     for row in numba.prange(h):
-        total = np.zeros(channels, np.float32)
         previous = -1
-        a, b, c, p, q, r = 0, 0, 0, 0, 0, 0
+        ua, va, ub, vb, uc, vc = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        near_a, near_b, near_c = 0.0, 0.0, 0.0
         g1x, g1y, g2x, g2y = 0.0, 0.0, 0.0, 0.0
         for column in range(w):
             f = triangle[row, column]
@@ -159,13 +166,15 @@ def _sample(
                 area = ex * hy - ey * hx
                 area = area if abs(area) > 1e-9 else 1e-9
                 g1x, g1y, g2x, g2y = hy / area, -hx / area, -ey / area, ex / area
+                ua, va, ub, vb, uc, vc = uv[p, 0], uv[p, 1], uv[q, 0], uv[q, 1], uv[r, 0], uv[r, 1]
+                near_a, near_b, near_c = 1 / vertex_depth[a], 1 / vertex_depth[b], 1 / vertex_depth[c]
             b0, b1, b2 = barycentric[row, column, 0], barycentric[row, column, 1], barycentric[row, column, 2]
             z = depth[row, column]
-            u = b0 * uv[p, 0] + b1 * uv[q, 0] + b2 * uv[r, 0]
-            v = b0 * uv[p, 1] + b1 * uv[q, 1] + b2 * uv[r, 1]
-            n0, n1, n2 = z / vertex_depth[a], z / vertex_depth[b], z / vertex_depth[c]
-            du0, du1, du2 = n0 * (uv[p, 0] - u) * tw, n1 * (uv[q, 0] - u) * tw, n2 * (uv[r, 0] - u) * tw
-            dv0, dv1, dv2 = n0 * (uv[p, 1] - v) * th, n1 * (uv[q, 1] - v) * th, n2 * (uv[r, 1] - v) * th
+            u = b0 * ua + b1 * ub + b2 * uc
+            v = b0 * va + b1 * vb + b2 * vc
+            n0, n1, n2 = z * near_a, z * near_b, z * near_c
+            du0, du1, du2 = n0 * (ua - u) * tw, n1 * (ub - u) * tw, n2 * (uc - u) * tw
+            dv0, dv1, dv2 = n0 * (va - v) * th, n1 * (vb - v) * th, n2 * (vc - v) * th
             ux = (du1 - du0) * g1x + (du2 - du0) * g2x
             uy = (du1 - du0) * g1y + (du2 - du0) * g2y
             vx = (dv1 - dv0) * g1x + (dv2 - dv0) * g2x
@@ -180,17 +189,28 @@ def _sample(
             width = max(minor, major / taps)
             level = min(max(np.log2(max(width, 1e-6)) + bias, 0.0), float(top_level))
             fine = int(level)
-            coarse = min(fine + 1, top_level)
             share = level - fine
-            for k in range(channels):
-                total[k] = 0
-            for tap in range(taps):
-                s = (tap + 0.5) / taps - 0.5
-                us, vs = u + s * mu / tw, v + s * mv / th
-                n, m = shapes[fine, 0], shapes[fine, 1]
-                _add_bilinear(texels, channels, starts[fine], n, m, us, vs, repeat, (1 - share) / taps, total)
-                if share > 0:
-                    n, m = shapes[coarse, 0], shapes[coarse, 1]
-                    _add_bilinear(texels, channels, starts[coarse], n, m, us, vs, repeat, share / taps, total)
-            for k in range(channels):
-                out[row, column, k] = total[k]
+            t0, t1, t2, t3, t4, t5 = none, none, none, none, none, none
+            for step in range(2 if share > 0 else 1):
+                at = min(fine + step, top_level)
+                n, m, start = shapes[at, 0], shapes[at, 1], starts[at]
+                weight = np.float32((share if step else 1 - share) / taps)
+                for tap in range(taps):
+                    s = (tap + 0.5) / taps - 0.5
+                    x, y = (u + s * mu / tw) * m - 0.5, (1.0 - v - s * mv / th) * n - 0.5
+                    j, i = _floor(x), _floor(y)
+                    fx, fy = np.float32(x - j), np.float32(y - i)
+                    a4 = _corners(j, i, start, n, m, repeat)
+                    corners = a4[0] * channels, a4[1] * channels, a4[2] * channels, a4[3] * channels
+                    low, high = weight * (one - fy), weight * fy
+                    shares = low * (one - fx), low * fx, high * (one - fx), high * fx
+                    t0 += _mix(texels, corners, shares, 0)
+                    t1 += _mix(texels, corners, shares, k1)
+                    t2 += _mix(texels, corners, shares, k2)
+                    if channels > 3:
+                        t3 += _mix(texels, corners, shares, k3)
+                        t4 += _mix(texels, corners, shares, k4)
+                        t5 += _mix(texels, corners, shares, last)
+            out[row, column, 0], out[row, column, k1], out[row, column, k2] = t0, t1, t2
+            if channels > 3:
+                out[row, column, k3], out[row, column, k4], out[row, column, last] = t3, t4, t5

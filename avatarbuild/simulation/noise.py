@@ -59,15 +59,33 @@ def _fractal(points: np.ndarray, wavelength: float, octaves: int, gain: float, s
         out[i] = total / np.sqrt(power) * 3.2
 
 
+@numba.njit(cache=True, inline="always")
+def _beyond(x: float, step: int) -> float:
+    """Square of the distance from x in [0, 1] to the cell `step` = -1, 0, 1 away."""
+    if step == 0:
+        return 0.0
+    gap = x if step < 0 else 1.0 - x
+    return gap * gap
+
+
 @numba.njit(cache=True, parallel=True)
 def _cells(points: np.ndarray, size: float, seed: int, distance: np.ndarray, label: np.ndarray) -> None:
     for n in numba.prange(len(points)):
         x, y, z = points[n, 0] / size, points[n, 1] / size, points[n, 2] / size
         i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
         best, which = 1e9, 0
-        for a in range(-1, 2):
-            for b in range(-1, 2):
-                for c in range(-1, 2):
+        # Own cell first: most of the others then lie farther off than the best point so far.
+        for a in (0, -1, 1):
+            away_x = _beyond(x - i, a)
+            if away_x >= best:
+                continue
+            for b in (0, -1, 1):
+                away_y = away_x + _beyond(y - j, b)
+                if away_y >= best:
+                    continue
+                for c in (0, -1, 1):
+                    if away_y + _beyond(z - k, c) >= best:
+                        continue
                     h = _hash(i + a + _LATTICE, j + b + _LATTICE, k + c + _LATTICE, seed)
                     g = _hash(h & 0xFFFFF, (h >> 12) & 0xFFFFF, 7, seed + 1)
                     dx = i + a + (h & 1023) / 1023.0 - x

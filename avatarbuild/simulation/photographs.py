@@ -11,10 +11,12 @@ import numpy as np
 from PIL import Image
 
 from avatarbuild.formats.colour import srgb_from_linear
+from avatarbuild.parallel import in_order
 from avatarbuild.simulation.rendering import Camera
 
 _FILM_DIAGONAL = 43.2666  # mm, of 36 x 24
 _FOCAL_35MM = 26
+_STRIP = 256  # rows that are developed at a time
 
 
 @dataclass(frozen=True)
@@ -102,11 +104,18 @@ def develop(linear: np.ndarray, shot: Shot, rng: np.random.Generator, *, noise: 
     length = float(np.hypot(*shot.blur))
     if length > 0:
         image = cv2.filter2D(image, -1, _line_kernel(shot.blur))
+    grain = rng.standard_normal(image.shape, dtype=np.float32)
+    strips = [slice(top, top + _STRIP) for top in range(0, len(image), _STRIP)]
+    return np.concatenate(list(in_order(lambda rows: _exposed(image[rows], shot, noise * grain[rows]), strips)))
+
+
+def _exposed(image: np.ndarray, shot: Shot, grain: np.ndarray) -> np.ndarray:
+    """(h, w, 3) uint8 sRGB of linear light with normal deviates `grain`."""
     image = image * (shot.exposure * shot.balance).astype(np.float32)
-    deviation = noise * np.sqrt(np.maximum(image, 0) * 1.1e-4 + 1.5e-6)
-    image = image + deviation * rng.standard_normal(image.shape, dtype=np.float32)
+    image += grain * np.sqrt(np.maximum(image, 0) * 1.1e-4 + 1.5e-6)
     # Sensors clip softly: the last tenth below white is compressed.
-    image = np.where(image > 0.9, 0.9 + 0.1 * np.tanh((image - 0.9) / 0.1 * 0.9), image)
+    bright = image > 0.9
+    image[bright] = 0.9 + 0.1 * np.tanh((image[bright] - 0.9) / 0.1 * 0.9)
     return np.round(255 * srgb_from_linear(np.clip(image, 0, 1))).astype(np.uint8)
 
 

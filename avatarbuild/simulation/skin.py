@@ -13,7 +13,6 @@ import numpy as np
 
 from avatarbuild.simulation.chart import Chart, filled, slopes
 from avatarbuild.simulation.noise import cells, fractal, smoothstep
-from avatarbuild.template import Template
 
 _MELANIN = np.array([0.36, 0.62, 0.85], np.float32)
 _BLOOD = np.array([0.04, 0.46, 0.42], np.float32)
@@ -73,114 +72,116 @@ def random_person(rng: np.random.Generator) -> Person:
 
 def paint(chart: Chart, person: Person) -> Surface:
     """The surface of the whole head: skin, eyes, teeth, gums and tongue."""
-    template, p = chart.template, chart.position
+    template = chart.template
     rng = np.random.default_rng(person.seed)
     seeds = iter(rng.integers(1 << 20, size=40).tolist())
-    t = chart.size
-    inside = chart.part >= 0
-    rows, columns = np.nonzero(chart.part == 0)
-    q = p[rows, columns]
-    melanin, blood, relief = (np.zeros((t, t), np.float32) for _ in range(3))
-
-    def spread(values: np.ndarray) -> np.ndarray:
-        out = np.zeros((t, t), np.float32)
-        out[rows, columns] = values
-        return out
+    # All that is skin is painted texel by texel, in lists of the chart's skin texels.
+    at = np.nonzero(chart.part == 0)
+    q = chart.position[at]
+    melanin, blood, relief = (np.zeros(len(q), np.float32) for _ in range(3))
 
     lips, lids, nose, ears, scalp, mouth = (
-        chart.region(name, blur)
+        chart.region(name, blur)[at]
         for name, blur in (("lips", 1), ("lids", 2), ("nose", 3), ("ears", 3), ("scalp", 5), ("mouth", 1))
     )
     landmarks = template.landmarks(template.mean)
-    cheeks = _blobs(p, landmarks[list(_CHEEKS)], 17)
-    tip = _blobs(p, landmarks[list(_NOSE)], 11)
-    under = _blobs(p, landmarks[list(_UNDER_EYES)], 9)
-    chin = _blobs(p, landmarks[list(_CHIN)], 12)
+    cheeks = _blobs(q, landmarks[list(_CHEEKS)], 17)
+    tip = _blobs(q, landmarks[list(_NOSE)], 11)
+    under = _blobs(q, landmarks[list(_UNDER_EYES)], 9)
+    chin = _blobs(q, landmarks[list(_CHIN)], 12)
 
     # Blotches: long waves come from the vertices, short ones from the texels.
     for wavelength, m, b in ((45.0, 0.10, 0.10), (16.0, 0.09, 0.16)):
         at_vertices = np.stack([fractal(template.mean, wavelength, 3, next(seeds)) for _ in range(2)], 1)
-        both = chart.field(at_vertices)
-        melanin += m * both[..., 0]
-        blood += b * both[..., 1]
+        both = chart.field(at_vertices)[at]
+        melanin += m * both[:, 0]
+        blood += b * both[:, 1]
     middle, fine = fractal(q, 4.5, 2, next(seeds)), fractal(q, 1.5, 2, next(seeds))
-    melanin += spread(0.10 * middle + 0.11 * fine)
-    blood += spread(0.11 * fractal(q, 3.2, 2, next(seeds)) - 0.05 * fine)
-    relief += spread(0.012 * fine)
+    melanin += 0.10 * middle + 0.11 * fine
+    blood += 0.11 * fractal(q, 3.2, 2, next(seeds)) - 0.05 * fine
+    relief += 0.012 * fine
 
     # Pores: about 1.2 mm apart, wider on nose and cheeks.
     distance, label = cells(q, 1.25, next(seeds))
-    open_ = 0.35 + 0.75 * np.clip(nose + cheeks + 0.6 * chin, 0, 1)[rows, columns]
+    open_ = 0.35 + 0.75 * np.clip(nose + cheeks + 0.6 * chin, 0, 1)
     pore = np.exp(-((distance / (0.17 + 0.10 * open_)) ** 2)) * open_ * (0.4 + 0.9 * label)
-    pore *= 1 - np.clip(lips + 0.7 * lids, 0, 1)[rows, columns]
-    melanin += spread(0.30 * pore)
-    relief -= spread(0.055 * pore)
+    pore *= 1 - np.clip(lips + 0.7 * lids, 0, 1)
+    melanin += 0.30 * pore
+    relief -= 0.055 * pore
 
     # Freckles thin out away from cheeks and nose; moles are few and raised.
     distance, label = cells(q, 3.2, next(seeds))
-    likely = (0.12 + np.clip(1.3 * cheeks + tip + nose, 0, 1))[rows, columns] * min(person.freckles, 1)
+    likely = (0.12 + np.clip(1.3 * cheeks + tip + nose, 0, 1)) * min(person.freckles, 1)
     freckle = (label < 0.5 * likely) * smoothstep(distance, 1.15, 0.35)
-    melanin += spread(0.75 * freckle * (0.5 + label))
+    melanin += 0.75 * freckle * (0.5 + label)
     for k in rng.integers(0, len(q), int(rng.integers(10, 22))):
         radius = rng.uniform(0.5, 1.7)
-        spot = smoothstep(np.linalg.norm(q - q[k], axis=1), radius * 1.25, radius * 0.65)
-        melanin += spread(rng.uniform(0.7, 2.0) * spot)
-        relief += spread(0.12 * radius * spot)
+        near, away = _around(q, q[k], radius * 1.25)
+        spot = smoothstep(away, radius * 1.25, radius * 0.65)
+        melanin[near] += rng.uniform(0.7, 2.0) * spot
+        relief[near] += 0.12 * radius * spot
     for k in rng.integers(0, len(q), 10):
-        spot = np.exp(-((np.linalg.norm(q - q[k], axis=1) / rng.uniform(1.0, 2.6)) ** 2))
-        blood += spread(rng.uniform(0.2, 0.6) * spot)
+        radius = rng.uniform(1.0, 2.6)
+        near, away = _around(q, q[k], 4 * radius)
+        blood[near] += rng.uniform(0.2, 0.6) * np.exp(-((away / radius) ** 2))
 
     blood += person.redness * (0.34 * cheeks + 0.45 * tip + 0.30 * ears + 0.12 * lids + 0.15 * chin + 0.12 * under)
     melanin += 0.16 * under + 0.08 * lids
 
     # Lips: red with fine upright lines.
-    lines = spread(fractal(q * [1.0, 0.22, 0.22], 1.1, 2, next(seeds)))
-    ragged = smoothstep(lips + 0.10 * spread(middle), 0.32, 0.62)
+    lines = fractal(q * [1.0, 0.22, 0.22], 1.1, 2, next(seeds))
+    ragged = smoothstep(lips + 0.10 * middle, 0.32, 0.62)
     blood += ragged * (1.25 + 0.22 * lines)
     melanin += ragged * (0.22 + 0.06 * lines)
     relief += ragged * 0.05 * lines
-    rim = _near_contours(chart, ("lips_inner_upper", "lips_inner_lower"), 1.2)
+    rim = _near_contours(chart, ("lips_inner_upper", "lips_inner_lower"), 1.2)[at]
     blood += 0.7 * rim
     melanin += 0.35 * rim
 
     # Hair under the skin: the shaven scalp and the beard's shade.
     distance, label = cells(q, 0.75, next(seeds))
     dots = np.exp(-((distance / 0.2) ** 2)) * (0.3 + label)
-    scalp_share = smoothstep(scalp + 0.12 * spread(fractal(q, 9.0, 3, next(seeds))), 0.35, 0.75)
-    beard = person.stubble * _beard(template, p, landmarks) * (1 - np.clip(2 * lips, 0, 1))
+    scalp_share = smoothstep(scalp + 0.12 * fractal(q, 9.0, 3, next(seeds)), 0.35, 0.75)
+    beard = person.stubble * _beard(q, landmarks) * (1 - np.clip(2 * lips, 0, 1))
     hairy = np.clip(scalp_share + beard, 0, 1)
-    grey = 0.25 * hairy + spread(1.1 * dots) * hairy
+    grey = 0.25 * hairy + 1.1 * dots * hairy
 
     tone = np.array([np.interp(person.tone * 4, range(5), _TONES[:, c]) for c in range(3)]) ** 2.2
-    log_albedo = np.log(tone).astype(np.float32) - melanin[..., None] * _MELANIN - blood[..., None] * _BLOOD
-    albedo = np.exp(log_albedo - grey[..., None] * np.array([0.62, 0.55, 0.46], np.float32))
-    gloss = 0.75 + 0.45 * np.clip(tip + nose * 0.6 + 0.5 * cheeks, 0, 1) + 0.7 * ragged - 0.2 * scalp_share
-    gloss *= 1 + 0.12 * spread(fine)
+    log_albedo = np.log(tone).astype(np.float32) - melanin[:, None] * _MELANIN - blood[:, None] * _BLOOD
+    colour = np.exp(log_albedo - grey[:, None] * np.array([0.62, 0.55, 0.46], np.float32))
+    shine = 0.75 + 0.45 * np.clip(tip + nose * 0.6 + 0.5 * cheeks, 0, 1) + 0.7 * ragged - 0.2 * scalp_share
+    shine *= 1 + 0.12 * fine
 
-    hairs = _brow_hairs(chart, rng)
-    albedo = albedo * (1 - hairs[..., None]) + np.asarray(person.hair, np.float32) * hairs[..., None]
+    hairs = _brow_hairs(chart, rng)[at]
+    colour = colour * (1 - hairs[:, None]) + np.asarray(person.hair, np.float32) * hairs[:, None]
     lashes = _near_contours(chart, ("lid_upper_left", "lid_upper_right"), 0.75)
-    lashes = np.maximum(lashes, 0.55 * _near_contours(chart, ("lid_lower_left", "lid_lower_right"), 0.45))
-    lashes = np.clip(lashes * (0.9 + 0.5 * spread(fractal(q * [1.0, 0.1, 0.1], 0.7, 1, next(seeds)))), 0, 0.96)
-    albedo = albedo * (1 - lashes[..., None]) + 0.3 * np.asarray(person.hair, np.float32) * lashes[..., None]
-    deep = np.clip(mouth * 1.4 - ragged, 0, 1)[..., None]
-    albedo = albedo * (1 - deep) + np.array([0.22, 0.045, 0.04], np.float32) * deep
-    gloss = gloss * (1 - np.maximum(hairs, lashes) * 0.7)
+    lashes = np.maximum(lashes, 0.55 * _near_contours(chart, ("lid_lower_left", "lid_lower_right"), 0.45))[at]
+    lashes = np.clip(lashes * (0.9 + 0.5 * fractal(q * [1.0, 0.1, 0.1], 0.7, 1, next(seeds))), 0, 0.96)
+    colour = colour * (1 - lashes[:, None]) + 0.3 * np.asarray(person.hair, np.float32) * lashes[:, None]
+    deep = np.clip(mouth * 1.4 - ragged, 0, 1)[:, None]
+    colour = colour * (1 - deep) + np.array([0.22, 0.045, 0.04], np.float32) * deep
+    shine = shine * (1 - np.maximum(hairs, lashes) * 0.7)
 
-    _paint_parts(chart, person, albedo, gloss, relief, next(seeds))
-    known = inside
-    albedo = np.clip(filled(albedo.astype(np.float32), known), 0.002, 0.92)
-    gloss = filled(gloss[..., None].astype(np.float32), known)[..., 0]
-    relief = filled(relief[..., None].astype(np.float32), known)[..., 0]
-    slope = slopes(relief, chart.scale)
+    painted = np.zeros((chart.size, chart.size, 5), np.float32)
+    painted[at] = np.concatenate([colour, shine[:, None], relief[:, None]], axis=1)
+    _paint_parts(chart, person, painted[..., :3], painted[..., 3], painted[..., 4], next(seeds))
+    inside = chart.part >= 0
+    painted = filled(painted, inside)
+    slope = slopes(painted[..., 4], chart.scale)
     # Where the chart ends a difference of neighbours means nothing.
     slope[cv2.erode(inside.astype(np.uint8), np.ones((3, 3))) == 0] = 0
-    return Surface(albedo, gloss, relief, slope)
+    return Surface(np.clip(painted[..., :3], 0.002, 0.92), painted[..., 3], painted[..., 4], slope)
+
+
+def _around(points: np.ndarray, centre: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Which of the points (n, 3) lie within `reach` of `centre` along x, and their distances (k,) from it."""
+    near = np.flatnonzero(np.abs(points[:, 0] - centre[0]) <= reach)
+    return near, np.linalg.norm(points[near] - centre, axis=1)
 
 
 def _blobs(position: np.ndarray, centres: np.ndarray, radius: float) -> np.ndarray:
-    """(t, t) sum of exp(-(|x - c| / radius)^2), clipped at 1."""
-    total = np.zeros(position.shape[:2], np.float32)
+    """(n,) sum of exp(-(|x - c| / radius)^2) at positions (n, 3), clipped at 1."""
+    total = np.zeros(len(position), np.float32)
     for centre in centres.astype(np.float32):
         total += np.exp(-((position - centre) ** 2).sum(-1) / radius**2)
     return np.clip(total, 0, 1)
@@ -208,8 +209,8 @@ def chart_lines(chart: Chart, vertices: np.ndarray) -> list[np.ndarray]:
     return [piece for piece in np.split(points, cuts) if len(piece) > 1]
 
 
-def _beard(template: Template, position: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
-    """(t, t): 1 on jaw, chin and upper lip, fading into cheeks and neck."""
+def _beard(position: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
+    """(n,) at positions (n, 3): 1 on jaw, chin and upper lip, fading into cheeks and neck."""
     nose, corner, chin = landmarks[2], landmarks[61], landmarks[152]
     low = smoothstep(position[..., 1], nose[1] + 6 - 4, nose[1] - 8)
     middle = np.abs(position[..., 0]) / max(abs(corner[0]), 1.0)
