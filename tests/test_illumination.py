@@ -292,6 +292,27 @@ def test_cloth_is_not_skin_and_the_face_always_is() -> None:
     assert skin[face()].min() == 1
 
 
+def test_a_speck_at_the_rim_is_a_collars_and_elsewhere_a_mole() -> None:
+    h, r = head(), skin_tone.tones()[60]
+    plain = fused_under(LIGHT, r)
+    seen = np.where(h.position[..., 1] < -140, 0, plain.seen)
+    inside = cv2.distanceTransform((seen > 0).astype(np.uint8), cv2.DIST_L2, 5) / 0.65  # mm, about
+    face_itself = h.chart.field(h.template.regions["face"].astype(float), h.template.triangles)
+    neck = (seen > 0) & (h.position[..., 1] < -90) & (face_itself == 0)
+    specks = []
+    for least, most in ((2.0, 5.0), (10.0, 30.0)):
+        rows, columns = np.nonzero(neck & (inside > least) & (inside < most))
+        specks.append((rows[len(rows) // 2], columns[len(rows) // 2]))
+    albedo = np.tile(r, (SIZE, SIZE, 1))
+    for at in specks:
+        albedo[at] = [0.02, 0.06, 0.05]
+    fused = replace(fused_under(LIGHT, albedo), seen=seen)
+    fused = replace(fused, colour=fused.colour * (seen > 0)[..., None])
+    skin = factored(fused).skin
+    assert skin[specks[0]] < 0.5
+    assert skin[specks[1]] > 0.9
+
+
 def test_nothing_seen_is_even_light() -> None:
     fused = fused_under(LIGHT, skin_tone.tones()[50])
     none = replace(fused, seen=np.zeros_like(fused.seen), colour=np.zeros_like(fused.colour))

@@ -60,13 +60,14 @@ def run(
         light = illumination.factor(fused, template, neutral, whites=whites)
         task.advance()
         skin = skin_texture(template, options.size)
-        albedo = completion.complete(light.albedo, fused.seen, template, skin, linear_picture(neutral.eye_texture))
+        shown = fused.seen * light.skin  # no collar, no hair: there the skin is completed
+        albedo = completion.complete(light.albedo, shown, template, skin, linear_picture(neutral.eye_texture))
         del skin
-        lit = completed_lit(fused, albedo, light.shading)
+        lit = completed_lit(fused, shown, albedo, light.shading)
         task.advance()
         turn, shift = neutral.head_from_cloud[:3, :3], neutral.head_from_cloud[:3, 3]
         cloud, size = points.points @ turn.T + shift, min(options.detail_size, options.size)
-        detail = static_detail.maps(template, neutral.vertices, cloud, albedo, fused.seen, light.open, size=size)
+        detail = static_detail.maps(template, neutral.vertices, cloud, albedo, shown, light.open, size=size)
         task.advance()
     gains = np.ones((len(placed.index), 3))
     gains[[photo.placed for photo in photos]] = choice.gains
@@ -77,7 +78,7 @@ def run(
         albedo=srgb_picture(albedo),
         fused=srgb_picture(lit),
         illumination=srgb_picture(light.shading / max(float(brightest), 1e-6)),
-        coverage=np.round(255 * np.clip(fused.seen, 0, 1)).astype(np.uint8),
+        coverage=np.round(255 * np.clip(shown, 0, 1)).astype(np.uint8),
         normal=detail.normal,
         occlusion=detail.occlusion,
         harmonics=light.harmonics,
@@ -102,10 +103,10 @@ def left_out(photos: Views, names: str) -> set[int]:
     return out
 
 
-def completed_lit(fused: Fused, albedo: np.ndarray, shading: np.ndarray) -> np.ndarray:
-    """(s, s, 3) the fused colours; where no photo saw the skin, the completed albedo under the light; other parts as
-    they are in the albedo."""
+def completed_lit(fused: Fused, shown: np.ndarray, albedo: np.ndarray, shading: np.ndarray) -> np.ndarray:
+    """(s, s, 3) the fused colours; where `shown` (s, s) says that no photo saw the skin, the completed albedo under the
+    light; other parts as they are in the albedo."""
     skin = fused.part <= 1  # and the gutter around it
-    sure = np.clip(fused.seen * (1 / _SURE), 0, 1)[..., None]
+    sure = np.clip(shown * (1 / _SURE), 0, 1)[..., None]
     lit = sure * fused.colour + (1 - sure) * albedo * shading
     return np.where(skin[..., None], lit, albedo)

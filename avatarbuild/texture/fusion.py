@@ -44,6 +44,7 @@ _ROUNDS_NEAR_WIDE = (2, 10)  # steps of averaging: a photo's colour over a milli
 _COMMON = (0.15, 0.75)  # quantiles between which the photos' colours make their common one
 _LOW = (0.1, 0.3)  # and the one that stands for skin without highlights
 _ROUNDS = 30
+_BY_CHOICE = 0.6  # how far a slanting view of what is taken from the front is forgiven
 _DOUBTED = 0.25  # share of strange colours from which a place is no skin
 _LEAST_PIECE = 400.0  # mm^2
 _CHIN = -70.0  # mm below the eyes from which what is not face may be cloth
@@ -98,7 +99,9 @@ def choice(nodes: Nodes, seen: Observations, photos: list[Photo], still: np.ndar
     label = choose(score[use], pairs, length, _ROUNDS)
     label = np.where((label >= 0) & held_together(label >= 0, pairs, area, nodes), use[label], -1).astype(np.int16)
     at = np.maximum(label, 0), np.arange(len(label))
-    quality = np.where(label >= 0, seen.cosine[at] * np.minimum(sharpness[at[0]], 1), 0)
+    # lids, lips and brows are taken from the front by choice: aslant does not mean badly seen there
+    slant = seen.cosine[at] ** (1 - _BY_CHOICE * nodes.front)
+    quality = np.where(label >= 0, slant * np.minimum(sharpness[at[0]], 1), 0)
     return Choice(gains, label, quality, offset, low, sharpness, disagreement)
 
 

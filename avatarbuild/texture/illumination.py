@@ -32,6 +32,7 @@ _DOUBTFUL = 0.5  # weight in the second stage of a texel of the face whose colou
 _DIM = 0.3  # of the mean light: below this, errors count absolutely again
 _TINY = 1e-6
 _BESIDE = (36.0, 42.0, 48.0)  # degrees from the gaze: where the white shows beside the iris
+_COLLAR = 6.0  # mm from what no photo saw, within which a speck on neck, scalp or ears is no mole
 _BEST = 3  # places of a white, the best-lit ones, that are compared with its bright pixels
 
 
@@ -228,8 +229,16 @@ def _skin(albedo: np.ndarray, r: np.ndarray, template: Template, chart: Chart) -
     good = (away < 1).astype(np.float32)
     reach = max(round(2 * 2.6 * chart.size / 1024), 1)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    # specks go, then the rim of what is left, where colours of both mix
-    good = cv2.erode(cv2.morphologyEx(good, cv2.MORPH_CLOSE, disc), disc)
+    # specks are moles, but at the rim of what was seen the last of a collar; then the rim of what is left goes, where
+    # colours of both mix
+    unseen = (albedo.max(axis=-1) <= 0).astype(np.uint8)
+    pieces, piece = cv2.connectedComponents(((good == 0) & (unseen == 0)).astype(np.uint8), connectivity=8)
+    beside = cv2.distanceTransform(1 - unseen, cv2.DIST_L2, 5) < _COLLAR * 2.6 * chart.size / 1024
+    collar = np.zeros(pieces, bool)
+    collar[piece[beside]] = True
+    collar[0] = False
+    good = np.where(collar[piece], 0, cv2.morphologyEx(good, cv2.MORPH_CLOSE, disc)).astype(np.float32)
+    good = cv2.erode(good, disc)
     face = chart.field(template.regions["face"].astype(np.float32), template.triangles)
     return np.maximum(cv2.GaussianBlur(good, (0, 0), max(reach / 2, 0.5)), np.clip(2 * face, 0, 1))
 
