@@ -1,5 +1,5 @@
 """
-avatar.glb: the head with its 52 shapes, inner parts and eyeballs, as docs/formats.md lays it out.
+avatar.glb: the head with its 52 shapes, inner parts, eyeballs and performance, as docs/formats.md lays it out.
 
 Millimetres in the head frame come in, metres in the same axes go out; texture coordinates are turned upside down, since
 glTF counts v from the top. n vertices of the template, e = 52 shapes.
@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from avatarbuild import __version__
+from avatarbuild.artefacts import Performance
+from avatarbuild.formats import glb_performance
 from avatarbuild.formats.gltf import Writer
 from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.geometry.tangents import vertex_tangents
@@ -118,8 +120,14 @@ def part_uv(template: Template, part: str) -> np.ndarray:
     return np.clip((template.uv - low) / np.maximum(high - low, 1e-12), 0, 1)
 
 
-def write(template: Template, rig: Rig, pictures: Pictures, extras: dict[str, Any]) -> Made:
-    """avatar.glb of a rig in the template's topology; `extras` are added to the file's own."""
+def write(
+    template: Template,
+    rig: Rig,
+    pictures: Pictures,
+    extras: dict[str, Any],
+    performance: Performance | None = None,
+) -> Made:
+    """avatar.glb of a rig in the template's topology, animated if there are tracked frames; `extras` are added."""
     writer = Writer(f"avatarbuild {__version__}")
     materials = _materials(writer, template, pictures)
     normals, turns = _normals(template, rig)
@@ -171,7 +179,10 @@ def write(template: Template, rig: Rig, pictures: Pictures, extras: dict[str, An
         nodes[part] = writer.add("nodes", node)
     # the head carries what is inside it, so that one pose moves all
     writer.tree["nodes"][nodes["skin"]]["children"] = [index for part, index in nodes.items() if part != "skin"]
-    writer.tree["scenes"] = [{"name": "avatar", "nodes": [nodes["skin"]]}]
+    roots = [nodes["skin"]]
+    if performance is not None and len(performance.times):
+        roots.append(glb_performance.add(writer, template, performance, nodes))
+    writer.tree["scenes"] = [{"name": "avatar", "nodes": roots}]
     writer.tree["scene"] = 0
     writer.tree["extras"] = {
         "eyeLook": {name: about for eye in EYES for name, about in eye_look(template, eye).items()},
