@@ -463,8 +463,9 @@ def test_an_imported_head_goes_through_the_stages(imported: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3000)
 def test_a_capture_becomes_an_avatar_of_an_imported_template(imported: Path, tmp_path: Path) -> None:
-    capture, project = synthetic.capture(11, photos=20, photo_width=480), tmp_path / "p"
+    capture, project = synthetic.capture(11, photos=16, photo_width=420), tmp_path / "p"
     command = [sys.executable, "-m", "avatarbuild", "run", capture, "-o", project, "--quality", "draft"]
     subprocess.run([*command, "--template", imported.parent], check=True)
     assert json.loads((project / "avatar" / "avatar.json").read_text())["versions"]["template"]["name"] == "flame"
