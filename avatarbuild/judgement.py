@@ -251,7 +251,7 @@ def _eyes(photos: Survey, trusted: np.ndarray) -> Finding:
 
 def _others(survey: Survey, where: str) -> Finding:
     more = survey.others > 0
-    found = "nobody else" if not more.any() else "another face" + _named(survey.views, more, " in ")
+    found = "nobody else" if not more.any() else "another person" + _named(survey.views, more, " in ")
     verdict = GOOD if not more.any() else USABLE
     advice = "the largest face is followed; keep other people and portraits out of the picture"
     return _finding(f"other people in {where}", found, verdict, advice, pictures=_names(survey.views, more))

@@ -24,6 +24,8 @@ _SKELETON = 1800
 _LEAST_MATCHES = 15
 _FAR, _NEAR = 4.0, 2.0  # pixels: observations further from their point are dropped, before and after the adjustment
 _LEAST_ANGLE = 1.5  # degrees between the rays of a point
+_REGROWN = (16.0, 8.0, 4.0, _NEAR)  # pixels
+_LEAST_SEEN = 8  # points of a photo
 # A guess too long comes right, one too short may not: even 0.93 of the truth has been seen to end at 0.72 of it.
 _RESTARTS, _AGAIN = 3, 2.0
 
@@ -158,6 +160,39 @@ def _with_focal(camera: pycolmap.Camera, focal: float | None) -> pycolmap.Camera
     other = pycolmap.Camera.create_from_model_id(camera.camera_id, camera.model, focal, camera.width, camera.height)
     other.has_prior_focal_length = camera.has_prior_focal_length
     return other
+
+
+def regrow(
+    model: pycolmap.Reconstruction,
+    names: list[str],
+    features: list[Features],
+    camera_of: np.ndarray,
+    pairs: Verified,
+) -> pycolmap.Reconstruction:
+    """
+    The model's cameras adjusted to the points of other `pairs` (those of a head that turned, say), lenses kept: points
+    are triangulated within ever smaller errors. Photos that see too few of them are left out.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        database = str(Path(folder) / "pairs.db")
+        lenses = [model.cameras[number] for number in sorted(model.cameras)]
+        _write_database(Path(database), names, features, lenses, camera_of, pairs, None)
+        for furthest in _REGROWN:
+            options = _options()
+            options.ba_refine_focal_length = options.ba_refine_extra_params = False
+            options.mapper.filter_max_reproj_error = furthest
+            options.triangulation.complete_max_reproj_error = options.triangulation.merge_max_reproj_error = furthest
+            angle = np.degrees(furthest / max(lens.mean_focal_length() for lens in lenses))
+            options.triangulation.create_max_angle_error = options.triangulation.continue_max_angle_error = angle
+            model = pycolmap.triangulate_points(
+                model, database, folder, str(Path(folder) / f"within{furthest:g}"), clear_points=True, options=options
+            )
+            adjust(model, lens=False)
+            _drop_outliers(model, furthest)
+    for number in sorted(model.reg_image_ids()):
+        if model.images[number].num_points3D < _LEAST_SEEN:
+            model.deregister_frame(model.images[number].frame_id)
+    return model
 
 
 def _place_the_rest(

@@ -19,13 +19,15 @@ from avatarbuild.parallel import in_order
 from avatarbuild.progress import Progress
 from avatarbuild.sfm import head, matching, metric
 from avatarbuild.sfm.features import Features, extract
-from avatarbuild.sfm.mapping import Verified, map_photos
+from avatarbuild.sfm.mapping import Verified, map_photos, regrow
 
 log = logging.getLogger(__name__)
 
 LEAST_MATCHES = 15
 LEAST_PLACED = 3
-ENOUGH = 0.8  # of the photos must be placed by the head's features alone; else the whole set's cameras are adjusted
+ENOUGH = (
+    0.8  # of the photos must be placed by the head's features alone; else the whole set's cameras are adjusted to it
+)
 DEFAULT_FOCAL = 1.2  # times the longer side, COLMAP's own guess where nothing is known
 SHORTEST_FOCAL = 0.35  # times the longer side: phones have no shorter lens, whatever a header claims
 OFF = 0.1  # of the focal length that was claimed: further off is worth a warning
@@ -166,25 +168,25 @@ def _map(
         with progress.task(label, len(names)) as task:
             return map_photos(names, features, *lenses, pairs, task.advance)
 
-    def place_by_head() -> list[pycolmap.Reconstruction]:
+    def pairs_on_head() -> Verified:
         on_head = {(i, j): m[heads[i][m[:, 0]] & heads[j][m[:, 1]]] for (i, j), m in matches.items()}
-        enough = {pair: m for pair, m in on_head.items() if len(m) >= LEAST_MATCHES}
-        return place(_verify(features, enough, lenses, progress), "placing photos by the head")
+        return _verify(features, {k: m for k, m in on_head.items() if len(m) >= LEAST_MATCHES}, lenses, progress)
 
     if not capture.face:
         return place(_verify(features, matches, lenses, progress), "placing photos"), "all", None
     heads = head.head_features(features, capture.photos.landmarks, matches)
     if options.features == "head":
-        return place_by_head(), "head", None
+        return place(pairs_on_head(), "placing photos by the head"), "head", None
     by_all = place(_verify(features, matches, lenses, progress), "placing photos")
     settled = head.settle(by_all[0], dict(zip(names, heads))) if by_all else None
     if options.features == "all" or settled is None or not settled.head_moved:
         return by_all, "all", settled
     warnings.append("the head turned against the room between the photos: the head's own features place the cameras")
-    by_head = place_by_head()
+    on_head = pairs_on_head()
+    by_head = place(on_head, "placing photos by the head")
     if by_head and by_head[0].num_reg_images() >= ENOUGH * by_all[0].num_reg_images():
         return by_head, "head", settled
-    return [settled.model], "head", settled
+    return [regrow(by_all[0], names, features, lenses[1], on_head)], "head", settled
 
 
 def _colour(model: pycolmap.Reconstruction, capture: Capture, names: list[str]) -> None:
