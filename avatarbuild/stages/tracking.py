@@ -31,7 +31,7 @@ from avatarbuild.texture.photos import placed_in_head
 from avatarbuild.tracking import alternation, full_rate, gaze, samples
 from avatarbuild.tracking.alternation import Eyes, Skin, Tracked
 from avatarbuild.tracking.fit import Face, Weights, face_of
-from avatarbuild.tracking.frames import LEVELS, Frame, box_of, frame
+from avatarbuild.tracking.frames import LEVELS, Frame, ScoreLevel, box_of, frame
 from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.markers import markers
 from avatarbuild.tracking.modelling import Freedom
@@ -69,7 +69,7 @@ def run(
         return without(
             blendshapes, f"{clip.file} shows the subject's face in fewer than {LEAST_FRAMES} frames: it is not used"
         )
-    eyes = Eyes(neutral.eye_centres, neutral.eye_radius)
+    eyes = Eyes(neutral.eye_centres, neutral.eye_radius, np.zeros((2, 2)))
     photos = placed_in_head(
         capture.photos,
         placed_photos(cameras.model, [f"{name}.jpg" for name in capture.photos.names]),
@@ -79,17 +79,18 @@ def run(
     lens = Lens(clip.focal, 0.0, clip.size)
     frames = processed_frames(clip)
     face, skin = prepared(template, blendshapes, albedo, points, lens, frames)
+    transferred = face.rig
     teaching = np.ones(len(frames), bool)
     if options.leave_out > 1:
         teaching[options.leave_out - 1 :: options.leave_out] = False
     weights, freedom = Weights(), Freedom()
     with progress.task("Tracking and modelling", 1.0) as task:
-        face, tracked, history = alternation.alternate(
+        face, eyes, tracked, history = alternation.alternate(
             *(template, face, skin, frames, eyes, teaching, weights, freedom),
             *(options.rounds, options.settled, task.advance),
         )
     evidence = np.zeros(len(ARKIT_NAMES))
-    evidence[:SHAPES] = alternation.evidence(tracked, teaching)
+    evidence[:SHAPES] = alternation.evidence(tracked, teaching, transferred)
     rig, contacts = kept(template, blendshapes, face.rig)
     face = face_of(
         replace(rig, deltas=rig.deltas[:SHAPES]), face.lens, face.markers, face.samples, face.skin, face.limits
@@ -98,7 +99,9 @@ def run(
         path = source / clip.file
         if not path.is_file():
             raise InputError(f"the video {path} is gone: put it back, or take it out of the capture and run again")
-        whole = full_rate.follow(face, template, eyes, tracked, video.decode_frames(path), weights, task.advance)
+        whole = full_rate.follow(
+            face, skin, template, eyes, tracked, clip_scores(clip), video.decode_frames(path), weights, task.advance
+        )
     made = performance(template, clip, face.lens, rig, blendshapes.eye_centres, whole, frames, teaching, evidence)
     quality = np.array([one.quality for one in tracked])
     figures = {
@@ -148,24 +151,29 @@ def without(blendshapes: Blendshapes, warning: str) -> Performance:
 def processed_frames(clip: Clip) -> list[Frame]:
     """The frames that the capture kept, those without a face left out."""
     views = clip.frames
-    scores = detector_scores(views.scores[:, :SHAPES])
+    level = clip_scores(clip)
     seen = np.flatnonzero(np.isfinite(views.presence))
 
     def one(i: int) -> Frame:
         number = int(clip.processed[i])
         marks, time = views.landmarks[i], float(clip.times[number])
-        return frame(number, time, views.images[i].rgb(), marks, float(views.presence[i]), scores[i], box_of(marks))
+        return frame(
+            number,
+            time,
+            views.images[i].rgb(),
+            marks,
+            float(views.presence[i]),
+            level.of(views.scores[i, :SHAPES]),
+            box_of(marks),
+        )
 
-    return list(in_order(one, seen))
+    return list(in_order(one, [int(i) for i in seen]))
 
 
-def detector_scores(scores: np.ndarray) -> np.ndarray:
-    """(F, a) the detector's expression scores less what a face at rest has (their lowest tenth), dead channels NaN."""
-    with np.errstate(invalid="ignore"):
-        known = np.isfinite(scores).any(axis=0)
-        most = np.where(known, np.nanmax(np.where(known, scores, 0), axis=0), 0)
-        rest = np.nanquantile(np.where(known, scores, 0), 0.1, axis=0)
-    return np.where(most > LEAST_SCORE, np.clip(scores - rest, 0, 1), np.nan)
+def clip_scores(clip: Clip) -> ScoreLevel:
+    """What the detector's channels say of this face at rest (their lowest tenth), and which of them are alive."""
+    scores = np.nan_to_num(clip.frames.scores[np.isfinite(clip.frames.presence), :SHAPES])
+    return ScoreLevel(np.quantile(scores, 0.1, axis=0), scores.max(axis=0) > LEAST_SCORE)
 
 
 def prepared(
@@ -237,10 +245,10 @@ def performance(
         last = np.maximum.accumulate(np.where(good, at, -1))
         weights = weights[np.where(last >= 0, last, int(np.argmax(good)))]
     looking = gaze.held(angles, good[:, None] & (weights[:, blink] < 0.6))
-    for i in np.flatnonzero(good):
-        fixed = gaze.look_weights(template, looking[i])
+    for row in np.flatnonzero(good):
+        fixed = gaze.look_weights(template, looking[row])
         for name in template.eye_rotations:
-            weights[i, template.expression_index[name]] = fixed[template.expression_index[name]]
+            weights[row, template.expression_index[name]] = fixed[template.expression_index[name]]
     weights = np.clip(full_rate.smoothed(weights, quality, clip.fps), 0, 1)
     for a, b in COMBINATION_LIMITS:
         i, j = ARKIT_NAMES.index(a), ARKIT_NAMES.index(b)

@@ -1,10 +1,10 @@
 """
 Tracking and modelling in turn [Ichim et al. 2015, section 5.1].
 
-A round fits every frame (equation 4) with the shapes fixed, then the shapes to all frames (equation 8) with the tracking
-fixed. The first rounds live on points: the detector's, and those that dense flow finds from the drawn head; they reach
-far. The later ones add the texture's differences (equation 6), which are finer. It ends when a round moves the posed
-skin by less than `settled` mm, or after `rounds`.
+A round fits the shapes to all frames (equation 8) with the tracking fixed, then every frame (equation 4) with the
+shapes fixed. The first rounds live on points: the detector's, and those that dense flow finds from the drawn head;
+they reach far. The later ones add the texture's differences (equation 6), which are finer. It ends when a round moves
+the posed skin by less than `settled` mm, or after `rounds`.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from avatarbuild.tracking.fit import Face, Pinned, State, Weights
 from avatarbuild.tracking.frames import Frame
 from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.modelling import Freedom, Space, gauge, learn
+from avatarbuild.tracking.rig import Rig
 
 log = logging.getLogger(__name__)
 
@@ -47,10 +48,14 @@ class Skin:
 
 @dataclass(frozen=True)
 class Eyes:
-    """centres (2, 3) and radius (2,) mm of the eyeballs."""
+    """
+    centres (2, 3) and radius (2,) mm of the eyeballs; rest (2, 2) radians, yaw and pitch of each eye's usual gaze, from
+    which the eyeLook shapes count.
+    """
 
     centres: np.ndarray
     radius: np.ndarray
+    rest: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -81,18 +86,29 @@ def begin(face: Face, frame: Frame, template: Template, eyes: Eyes, w: Weights) 
     start = first_state(frame, face.lens, len(face.rig.deltas))
     state = fit.fit_points(face, frame, pinned, start, w, rigid=4, steps=0)
     angles = gaze.gaze(frame.marks, eyes.centres, eyes.radius, face.lens, state.R, state.t)
-    looks = gaze.look_weights(template, angles)
-    fixed = np.array([name in template.eye_rotations for name in template.expression_names])[: len(looks)]
+    looks = gaze.look_weights(template, angles - eyes.rest)[: len(frame.low)]
+    fixed = gaze.turning(template, len(frame.low))
     frame = replace(frame, low=np.where(fixed, looks, 0.0), high=np.where(fixed, looks, frame.high))
     state = fit.fit_points(face, frame, pinned, replace(state, weights=frame.low), w, rigid=0, steps=8)
-    return Tracked(frame, state, pinned, 0.0, angles)
+    return Tracked(frame, state, pinned, 0.0, angles - eyes.rest)
 
 
-def seek(face: Face, skin: Skin, tracked: Tracked, w: Weights, levels: tuple[int, ...]) -> Tracked:
+def looking_ahead(face: Face, frames: list[Frame], template: Template, eyes: Eyes, w: Weights) -> Eyes:
+    """
+    The eyes with their rest: the median of the clip's gaze. The detector's irises lie off by degrees, in a way of each
+    face's own, and who is filmed mostly looks ahead.
+    """
+    angles = np.stack([one.gaze for one in in_order(lambda f: begin(face, f, template, eyes, w), frames)])
+    return replace(eyes, rest=eyes.rest + np.nan_to_num(np.nanmedian(angles, axis=0)))
+
+
+def seek(
+    face: Face, skin: Skin, tracked: Tracked, w: Weights, levels: tuple[int, ...], at: int = dense.LEVEL
+) -> Tracked:
     """The frame again: its points where the head, drawn as it was tracked, is found in it; then the texture."""
     frame, state = tracked.frame, tracked.state
     posed = face.rig.posed(state.weights)
-    found = dense.targets(frame, posed, skin.triangles, skin.region, skin.texture, face.lens, state.R, state.t)
+    found = dense.targets(frame, posed, skin.triangles, skin.region, skin.texture, face.lens, state.R, state.t, at)
     pinned = fit.detected(face, frame, w) + fit.found(face, found, w)
     state = fit.fit_points(face, frame, pinned, state, w, rigid=0, steps=4)
     if levels:
@@ -125,14 +141,15 @@ def alternate(
     rounds: int,
     settled: float,
     advance: Callable[[float], None],
-) -> tuple[Face, list[Tracked], list[dict[str, float]]]:
+) -> tuple[Face, Eyes, list[Tracked], list[dict[str, float]]]:
     """
-    The face with the person's own shapes, the tracked frames, and each round's figures.
+    The face with the person's own shapes, the eyes with their usual gaze, the tracked frames, and each round's figures.
 
     teaching (F,) bool: frames that may take part in modelling. `advance` hears shares of the work.
     """
     base = face.rig
     share = 1 / (rounds + 2)
+    eyes = looking_ahead(face, frames, template, eyes, w)
     tracked = list(in_order(lambda f: begin(face, f, template, eyes, w), frames))
     advance(share / 4)
     for _ in range(2):
@@ -142,24 +159,15 @@ def alternate(
     history: list[dict[str, float]] = []
     good = _teachers(tracked, teaching)
     if not good:
-        return face, tracked, history
+        return face, eyes, tracked, history
     axis = np.mean([-one.state.R.T @ one.state.t / np.linalg.norm(one.state.t) for one in good], axis=0)
     space = Space(template, base, axis / np.linalg.norm(axis), freedom)
     before = _posed(face, tracked)
     for number in range(rounds):
         levels = ROUND_LEVELS[min(number, len(ROUND_LEVELS) - 1)]
         good = _teachers(tracked, teaching)
-        rig = learn(
-            space,
-            face,
-            base,
-            [g.frame for g in good],
-            [g.pinned for g in good],
-            [g.state for g in good],
-            levels,
-            w,
-            freedom,
-        )
+        shown = ([g.frame for g in good], [g.pinned for g in good], [g.state for g in good])
+        rig = learn(space, face, base, *shown, levels, w, freedom)
         rig, states = gauge(rig, base, [one.state for one in tracked])
         tracked = [replace(one, state=state) for one, state in zip(tracked, states, strict=True)]
         face = fit.face_of(rig, face.lens, face.markers, face.samples, face.skin, face.limits)
@@ -173,7 +181,7 @@ def alternate(
         if number + 1 >= len(ROUND_LEVELS) and moved < settled:
             advance(share * (rounds - 1 - number))
             break
-    return face, tracked, history
+    return face, eyes, tracked, history
 
 
 def _lens(face: Face, tracked: list[Tracked]) -> tuple[Face, list[Tracked]]:
@@ -187,7 +195,7 @@ def _lens(face: Face, tracked: list[Tracked]) -> tuple[Face, list[Tracked]]:
     )
     log.info("the clip's lens: %.1f px, k1 %.4f (%.1f px by its metadata)", lens.focal, lens.k1, face.lens.focal)
     ratio = lens.focal / face.lens.focal
-    moved = {i: state for i, state in zip(chosen, states, strict=True)}
+    moved = dict(zip(chosen, states, strict=True))
     for i, one in enumerate(tracked):
         state = moved.get(i, replace(one.state, t=one.state.t * np.array([1, 1, ratio])))
         tracked[i] = replace(one, state=state)
@@ -208,20 +216,24 @@ def _posed(face: Face, tracked: list[Tracked]) -> np.ndarray:
     return np.stack([face.marker_rider.at(one.state.weights) for one in tracked])
 
 
-def evidence(tracked: list[Tracked], teaching: np.ndarray) -> np.ndarray:
+def evidence(tracked: list[Tracked], teaching: np.ndarray, base: Rig) -> np.ndarray:
     """
-    (a,) in 0..1: x / (1 + x) with x = 4 sum over the teaching frames of q w_u^2, w_u the part of a shape's weights that
-    the other shapes' do not explain linearly: one frame at half weight, alone, gives 0.5.
+    (a,) in 0..1: x / (1 + x) with x = 4 sum over the teaching frames of q w^2, less what other shapes could explain:
+    one frame at half weight, alone, gives 0.5.
+
+    Of the matrix sum_f q w_fi w_fj cos(B_i, B_j), the Schur complement of a shape's own entry: shapes that move other
+    parts of the face take nothing away, however often they act together.
     """
     good = _teachers(tracked, teaching)
+    a = len(base.deltas)
     if not good:
-        return np.zeros(len(tracked[0].state.weights)) if tracked else np.zeros(0)
+        return np.zeros(a)
     W = np.array([one.state.weights for one in good]) * np.sqrt([one.quality for one in good])[:, None]
-    out = np.zeros(W.shape[1])
-    gram = W.T @ W + 0.05 * np.eye(W.shape[1])
-    inverse = np.linalg.inv(gram)
-    alone = np.maximum(1 / np.diag(inverse) - 0.05, 0)  # the Schur complement: what remains of a column
-    shown = W.max(axis=0) > 0.05
-    x = 4 * alone
-    out[shown] = (x / (1 + x))[shown]
-    return out
+    flat = base.deltas.reshape(a, -1)
+    size = np.maximum(np.linalg.norm(flat, axis=1), 1e-9)
+    alike = (flat @ flat.T) / np.outer(size, size)
+    least = 0.02
+    matrix = (W.T @ W) * alike + least * np.eye(a)
+    alone = np.maximum(1 / np.diag(np.linalg.inv(matrix)) - least, 0)
+    x = np.where(W.max(axis=0) > 0.05, 4 * alone, 0)
+    return x / (1 + x)

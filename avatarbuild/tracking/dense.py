@@ -18,7 +18,7 @@ from avatarbuild.tracking.frames import Frame
 from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.rig import Places
 
-LEVEL = 1  # of the pyramid, that the flow is computed at
+LEVEL = 1  # of the pyramid, that the flow is computed at where nothing else is said
 _FLAT = 3.0  # pixels: the spread of the mean that is taken off both pictures
 _GREY = 40.0  # grey levels of a standard deviation
 _FAINT = 0.01  # of the logarithm: fainter texture stays faint
@@ -46,13 +46,14 @@ def targets(
     lens: Lens,
     R: np.ndarray,
     t: np.ndarray,
+    level: int = LEVEL,
 ) -> Targets:
     """
     posed (n, 3) in the head frame; triangles (m, 3) of the skin, region (m,) bool those that have a texture: the
     logarithm of its grey as a mipmap with uv (u, 2) and uv_triangles (m, 3).
     """
-    scale = float(1 << LEVEL)
-    seen = frame.pyramid[LEVEL]
+    scale = float(1 << level)
+    seen = frame.pyramid[level]
     h, w = seen.shape
     camera = posed @ R.T + t
     pixels = (lens.project(camera)[0] - frame.corner) / scale
@@ -98,6 +99,6 @@ def _levelled(picture: np.ndarray, on: np.ndarray) -> np.ndarray:
 
 def _flow(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(h, w, 2) float32 pixels from a to b, both (h, w) uint8."""
-    engine = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    engine = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     engine.setFinestScale(0)
-    return engine.calc(a, b, None)
+    return np.asarray(engine.calc(a, b, np.zeros((*a.shape, 2), np.float32)))

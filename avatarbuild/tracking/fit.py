@@ -27,8 +27,9 @@ LEAST_ROWS = 20  # differences of the texture, fewer of which say nothing
 @dataclass(frozen=True)
 class Weights:
     """
-    Of the energies, each normalised: squares of markers in (marker_sd mm)^2, of flow in its own robust spread. `flow` is
-    the worth of a level's samples altogether, in markers; `sparse` and `temporal` are worths of a unit of weight.
+    Of the energies, each normalised: squares of points in (sd mm)^2, robust from `reach` mm on; of flow in its own
+    robust spread, `flow` being the worth of a level's samples altogether, in points of 1 mm; `sparse` (l1), `ridge`,
+    `score` (the detector's opinion) and `temporal` (the frame before) are worths of a unit of a shape's weight.
     """
 
     marker_sd: float = 1.5
@@ -135,7 +136,7 @@ def flow(face: Face, frame: Frame, level: int, state: State, seen: np.ndarray) -
 
 
 def flow_worth(r: np.ndarray, known: np.ndarray, w: Weights) -> np.ndarray:
-    """(S, 2) worths of residuals r (S, 2): w.flow altogether for perfect ones, falling off beyond twice their spread."""
+    """(S, 2) worths of residuals r (S, 2): w.flow altogether for perfect ones, less beyond twice their spread."""
     if known.sum() < LEAST_ROWS:
         return np.zeros(r.shape)
     sd = spread(r[known])

@@ -18,8 +18,8 @@ _BLUR = 0.6  # pixels: takes off the noise and the block borders that single pix
 class Frame:
     """
     number among the decoded frames, time s; marks (478, 3) pixels of the detector and its presence, NaN where it found
-    nothing; scores (a,) its opinion of the shapes' weights, NaN where it has none; low, high (a,) the weights' bounds; corner (2,) pixels of the
-    crop and its pyramid, finest first.
+    nothing; scores (a,) its opinion of the shapes' weights, NaN where it has none; low, high (a,) the weights' bounds;
+    corner (2,) pixels of the crop and its pyramid, finest first.
     """
 
     number: int
@@ -31,6 +31,18 @@ class Frame:
     high: np.ndarray
     corner: np.ndarray
     pyramid: list[np.ndarray]
+
+
+@dataclass(frozen=True)
+class ScoreLevel:
+    """The detector's expression scores of one face: rest (a,) what they are at rest, alive (a,) bool."""
+
+    rest: np.ndarray
+    alive: np.ndarray
+
+    def of(self, scores: np.ndarray) -> np.ndarray:
+        """(a,) what scores (a,) say beyond rest; NaN where a channel is dead."""
+        return np.where(self.alive & np.isfinite(scores), np.clip(np.nan_to_num(scores) - self.rest, 0, 1), np.nan)
 
 
 def frame(

@@ -54,6 +54,11 @@ def look_weights(template: Template, angles: np.ndarray) -> np.ndarray:
     return out
 
 
+def turning(template: Template, a: int) -> np.ndarray:
+    """(a,) bool: the shapes among the first a that go with the eyes' turning."""
+    return np.array([name in template.eye_rotations for name in template.expression_names[:a]])
+
+
 def held(angles: np.ndarray, known: np.ndarray) -> np.ndarray:
     """angles (f, 2, 2) with those not `known` (f, 2) or NaN interpolated from the frames before and after."""
     out = np.zeros_like(angles)

@@ -63,7 +63,7 @@ def markers(template: Template, neutral: np.ndarray, photos: list[Photo], views:
             missing.append(np.c_[flat, np.zeros(SKIN)] @ p.R)
         offset = np.median(missing, axis=0)
     weight = np.ones(SKIN)
-    weight[list((*LIPS, *LIDS))] = 3.0
+    weight[[*LIPS, *LIDS]] = 3.0
     return Markers(places, offset, weight, template.landmark_sliding[:SKIN])
 
 

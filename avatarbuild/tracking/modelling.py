@@ -34,8 +34,12 @@ from avatarbuild.tracking.rig import Places, Rig
 
 @dataclass(frozen=True)
 class Freedom:
-    """How far shapes may stray: `share` of their own motion, spread over `reach` mm, plus `least` mm where they move;
-    `neutral` mm for the face at rest; `length` mm over which deviations agree; `worth` of the data beside tracking's."""
+    """
+    How far shapes may stray: `share` of their own motion, spread over `reach` mm, plus `least` mm where they move;
+    `neutral` mm for the face at rest; `depth` of that along the line of sight, where a frontal video shows nothing;
+    `length` mm over which deviations agree; `worth` of the data beside tracking's. Conjugate gradients end after
+    `steps` or at `tolerance`.
+    """
 
     share: float = 0.3
     least: float = 0.15
