@@ -12,14 +12,27 @@ from typing import Any
 
 import jsonschema
 import numpy as np
+import performances
 import pycolmap
 import pytest
 import synthetic
 import validator
+from scipy.spatial.transform import Rotation
 
 from avatarbuild import __version__
-from avatarbuild.artefacts import Albedo, Avatar, Blendshapes, Cameras, Capture, Clip, Cloud, Neutral, Views
-from avatarbuild.formats import avatar_glb
+from avatarbuild.artefacts import (
+    Albedo,
+    Avatar,
+    Blendshapes,
+    Cameras,
+    Capture,
+    Clip,
+    Cloud,
+    Neutral,
+    Performance,
+    Views,
+)
+from avatarbuild.formats import avatar_glb, glb_performance
 from avatarbuild.formats.gltf import Gltf, read_glb
 from avatarbuild.formats.images import decode_png, encode_jpeg, encode_png
 from avatarbuild.geometry.meshes import vertex_normals
@@ -60,8 +73,8 @@ def views(count: int, folder: str) -> Views:
 
 
 @cache
-def person() -> tuple[Capture, Cameras, Cloud, Neutral, Albedo, Blendshapes]:
-    """Artefacts of a random head, with a cloud of one colour that lies in another frame; a clip was filmed."""
+def person() -> tuple[Capture, Cameras, Cloud, Neutral, Albedo, Blendshapes, Performance]:
+    """Artefacts of a random head, with a cloud of one colour that lies in another frame; a clip, of no use."""
     template = synthetic.template()
     subject = random_subject(template, np.random.default_rng(5))
     turn, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))
@@ -98,12 +111,25 @@ def person() -> tuple[Capture, Cameras, Cloud, Neutral, Albedo, Blendshapes]:
     open_ = np.full((32, 32), 255, np.uint8)
     seen = np.full((64, 64), 90, np.uint8)
     albedo = Albedo(plain, plain, plain, seen, level, open_, np.zeros((9, 3)), np.full(3, 0.4), np.ones((3, 3)))
-    return capture, cameras, cloud, neutral, albedo, shapes
+    return capture, cameras, cloud, neutral, albedo, shapes, performances.nothing(shapes)
+
+
+@cache
+def played() -> Performance:
+    """What the same person's clip could have shown, were it longer."""
+    return performances.performance(person()[5])
 
 
 @cache
 def built() -> Avatar:
     return avatar.run(*person(), OPTIONS, Silent(), synthetic.template())
+
+
+@cache
+def animated() -> Avatar:
+    """The same with a tracked clip, whose pictures are gone."""
+    capture, *rest, _ = person()
+    return avatar.run(dataclasses.replace(capture, clip=None), *rest, played(), OPTIONS, Silent(), synthetic.template())
 
 
 def glb() -> Gltf:
@@ -140,7 +166,7 @@ def test_validator() -> None:
 
 
 def test_pictures_and_tangents() -> None:
-    *_, shapes = person()
+    *_, shapes, _ = person()
     rig = avatar_glb.Rig(shapes.neutral, shapes.deltas, shapes.eye_centres, 0.004, 0.2)
     flat = np.full((8, 8, 3), 128, np.uint8)
     level = np.full((8, 8, 3), (128, 128, 255), np.uint8)
@@ -389,6 +415,101 @@ def test_photos_alone_give_a_whole_avatar() -> None:
     made = avatar.run(dataclasses.replace(capture, clip=None), *rest, OPTIONS, Silent(), synthetic.template())
     assert made.files["avatar.glb"] == built().files["avatar.glb"]
     assert about(made)["capture"]["video"] is None
+
+
+# the performance
+
+
+def test_validator_on_an_animated_file() -> None:
+    assert validator.issues(animated().files["avatar.glb"], worst=2) == []
+
+
+def channel(gltf: Gltf, node: str, path: str) -> np.ndarray:
+    """The keys of a node's only channel of a path, at the clip's times."""
+    (animation,) = gltf.tree["animations"]
+    index = gltf.tree["nodes"].index(gltf.named("nodes", node))
+    (one,) = [c for c in animation["channels"] if c["target"] == {"node": index, "path": path}]
+    sampler = animation["samplers"][one["sampler"]]
+    assert sampler["interpolation"] == "LINEAR"
+    np.testing.assert_allclose(gltf.accessor(sampler["input"]), played().times, atol=1e-7)
+    return gltf.accessor(sampler["output"])
+
+
+def test_every_mesh_with_shapes_plays_the_weights() -> None:
+    gltf = read_glb(animated().files["avatar.glb"])
+    for mesh in MORPHED:
+        np.testing.assert_allclose(channel(gltf, mesh, "weights").reshape(-1, 52), played().weights, atol=1e-7)
+    assert len(gltf.tree["animations"][0]["channels"]) == len(MORPHED) + 2 + 2
+
+
+def test_the_eyes_play_the_gaze_of_the_weights() -> None:
+    gltf = read_glb(animated().files["avatar.glb"])
+    for side, eye in enumerate(EYES):
+        turned = Rotation.from_quat(channel(gltf, eye, "rotation")).as_matrix()
+        expected = [synthetic.template().eye_rotation_matrices(w)[side] for w in played().weights]
+        np.testing.assert_allclose(turned, expected, atol=1e-6)
+
+
+def test_the_head_before_the_camera_is_where_the_video_saw_it() -> None:
+    """inverse(camera's node) head's key = diag(1, -1, -1) pose; at rest, without a transform, the first good pose."""
+    gltf, p = read_glb(animated().files["avatar.glb"]), played()
+    head, node = gltf.named("nodes", "head"), gltf.named("nodes", "video_camera")
+    roots = gltf.tree["scenes"][0]["nodes"]
+    assert [gltf.tree["nodes"][i]["name"] for i in roots] == ["head", "video_camera"]
+    assert not {"translation", "rotation", "matrix", "scale"} & set(head)
+    C = Rotation.from_quat(node["rotation"]).as_matrix()
+    turns = Rotation.from_quat(channel(gltf, "head", "rotation")).as_matrix()
+    shifts = channel(gltf, "head", "translation")
+    points = np.array([[0, 0, 0], [0.03, -0.04, 0.02]])
+    for i in range(len(p.times)):
+        placed = points @ turns[i].T + shifts[i]
+        seen = (placed - node["translation"]) @ C * [1, -1, -1]  # to OpenCV's axes
+        np.testing.assert_allclose(seen * 1000, points * 1000 @ p.rotation[i].T + p.translation[i], atol=1e-3)
+    np.testing.assert_allclose(turns[1], np.eye(3), atol=1e-6)  # frame 0 is lost
+    np.testing.assert_allclose(shifts[1], 0, atol=1e-8)
+
+
+def test_the_camera_has_the_clip_s_lens() -> None:
+    gltf, p = read_glb(animated().files["avatar.glb"]), played()
+    about = gltf.tree["cameras"][gltf.named("nodes", "video_camera")["camera"]]
+    assert about["perspective"]["aspectRatio"] == 0.5
+    assert np.tan(about["perspective"]["yfov"] / 2) * p.focal == pytest.approx(100)
+    assert about["extras"]["k1"] == p.k1
+
+
+def test_quaternions_keep_their_sign() -> None:
+    angles = np.linspace(0, 4 * np.pi, 60)
+    turns = Rotation.from_rotvec(angles[:, None] * [0.0, 1.0, 0.0])
+    found = glb_performance.quaternions(turns.as_matrix())
+    assert (found[1:] * found[:-1]).sum(axis=1).min() > 0.9
+    np.testing.assert_allclose(Rotation.from_quat(found).as_matrix(), turns.as_matrix(), atol=1e-12)
+
+
+def test_the_rig_is_the_one_the_video_taught() -> None:
+    moved = target(read_glb(animated().files["avatar.glb"]), "head", "jawOpen")[: count("head")]
+    transferred = target(glb(), "head", "jawOpen")[: count("head")]
+    far = np.linalg.norm(transferred, axis=1) > 1e-3
+    np.testing.assert_allclose(moved[far], 1.1 * transferred[far], rtol=1e-5)
+    assert read_glb(animated().files["avatar.glb"]).tree["extras"]["evidence"]["jawOpen"] == 0.85
+
+
+def test_the_clip_in_the_provenance() -> None:
+    value = about(animated())
+    assert value["clip"]["file"] == "video/MOV_0001.mp4"
+    assert value["clip"]["frames"] == {"decoded": 12, "processed": 4, "modelled": 3, "lost": 1}
+    assert value["shapes"]["jawOpen"]["evidence"] == 0.85
+    assert value["shapes"]["mouthPucker"]["evidence"] == 0
+    assert value["figures"]["tracking"] == {"frames": 12}
+    assert {"track.json", "track.csv"} <= set(value["files"]) & set(animated().files)
+    assert json.loads(animated().files["track.json"])["video"] == "MOV_0001.mp4"
+
+
+def test_without_frames_nothing_is_animated() -> None:
+    gltf, value = glb(), about(built())
+    assert not {"animations", "cameras"} & set(gltf.tree)
+    assert not {"track.json", "track.csv"} & set(built().files)
+    assert value["clip"] is None
+    assert set(gltf.tree["extras"]["evidence"].values()) == {0}
 
 
 def test_saved_and_loaded(tmp_path: Path) -> None:

@@ -11,15 +11,28 @@ from html.parser import HTMLParser
 from typing import Any
 
 import numpy as np
+import performances
 import pycolmap
 import pytest
 import synthetic
 
-from avatarbuild.artefacts import Albedo, Blendshapes, Cameras, Capture, Cloud, Neutral, StoredImage, Views
+from avatarbuild.artefacts import (
+    Albedo,
+    Blendshapes,
+    Cameras,
+    Capture,
+    Clip,
+    Cloud,
+    Neutral,
+    Performance,
+    StoredImage,
+    Views,
+)
 from avatarbuild.formats.images import decode_jpeg, encode_jpeg
 from avatarbuild.geometry.meshes import vertex_normals
-from avatarbuild.report import diagrams, heads, overlay, rendering, views, words
+from avatarbuild.report import diagrams, footage, heads, overlay, rendering, views, words
 from avatarbuild.report.page import page
+from avatarbuild.report.performance import performance_section
 from avatarbuild.report.rendering import View
 from avatarbuild.report.shading import decode_srgb
 from avatarbuild.simulation.photographs import look_at
@@ -148,7 +161,9 @@ def stamps() -> list[dict[str, Any]]:
 
 
 def written(g: Given) -> bytes:
-    return page(g.capture, g.cameras, g.points, g.neutral, g.albedo, g.blendshapes, synthetic.template(), stamps())
+    none = performances.nothing(g.blendshapes)
+    seen = (g.capture, g.cameras, g.points, g.neutral, g.albedo, g.blendshapes, none)
+    return page(*seen, synthetic.template(), stamps())
 
 
 @cache
@@ -479,3 +494,112 @@ def test_no_picture_is_flat() -> None:
         assert rgb.reshape(-1, 3).std(axis=0).max() > 8, about["alt"]
     assert re.search(r"<svg viewBox", report())
     assert rendering.PAPER
+
+
+# the video
+
+
+@cache
+def filmed() -> tuple[Capture, Performance]:
+    """The person's clip of 24 frames, every third of which is kept and tracked in full; the first is lost."""
+    g = given()
+    played = performances.performance(g.blendshapes, 24, SIZE, 420.0)
+    k = len(played.processed)
+    photos = g.capture.photos
+    picked = {f.name: getattr(photos, f.name)[[0] * k] for f in dataclasses.fields(Views) if f.name not in _LISTS}
+    noise = np.random.default_rng(0).integers(0, 255, (SIZE[1], SIZE[0], 3)).astype(np.uint8)
+    picture = StoredImage(encode_jpeg(noise, 90))
+    frames = Views(**picked, names=[f"{i:06d}" for i in played.processed], files=["a.mp4"] * k, images=[picture] * k)
+    clip = Clip("a.mp4", SIZE, 30.0, played.times, 420.0, played.processed, frames)
+    return dataclasses.replace(g.capture, clip=clip), played
+
+
+_LISTS = ("names", "files", "images")
+
+
+@cache
+def performed() -> Reader:
+    g, t = given(), synthetic.template()
+    capture, played = filmed()
+    own = Blendshapes(played.neutral, played.deltas, played.eye_centres)
+    figure = heads.figure(own, g.albedo.albedo, t, 0)
+    reader = Reader()
+    reader.feed(performance_section(capture, played, g.blendshapes, figure, t))
+    reader.close()
+    assert not reader.open
+    return reader
+
+
+def test_the_performance_s_section() -> None:
+    reader = performed()
+    text = " ".join(reader.text.split())
+    assert "performance" in reader.ids
+    assert "24 frames in 0.8 s, 8 of them tracked in full, 7 of these used" in text
+    assert "The face was lost in 1 of all." in text
+    # six frames, and three pictures for each of the shapes that move: the jaw, the smile, the lids at three gazes
+    alone = footage.most_active(filmed()[1], 5, pairs=False)
+    assert alone[0] == "jawOpen"
+    assert len(reader.pictures) == 6 + 3 * len(alone)
+    assert not {"mouthSmileLeft", "mouthSmileRight"} <= set(alone)
+    for name in ARKIT_NAMES:
+        assert name in text
+    # 1.1 times the jaw, at its widest
+    jaw = given().blendshapes.deltas[ARKIT_NAMES.index("jawOpen")][synthetic.template().regions["face"]]
+    far = 0.1 * np.linalg.norm(jaw, axis=1).max() * filmed()[1].weights[12, ARKIT_NAMES.index("jawOpen")]
+    assert f"up to {far:.1f} mm away" in text
+
+
+def test_no_section_without_a_video() -> None:
+    assert "performance" not in read().ids
+    assert "#performance" not in read().addresses
+
+
+def test_frames_that_are_shown_are_good_and_their_pictures_their_own() -> None:
+    capture, played = filmed()
+    seen = footage.footage(capture, played)
+    assert capture.clip is not None
+    np.testing.assert_array_equal(seen.numbers, [3, 6, 9, 12, 15, 18, 21])
+    np.testing.assert_array_equal(capture.clip.processed[seen.places], seen.numbers)
+    chosen = footage.spread(played, seen, 6)
+    assert len(chosen) == 6
+    assert (np.diff(chosen) > 0).all()
+    lost = footage.footage(capture, dataclasses.replace(played, quality=np.zeros(24)))
+    assert not len(lost.numbers)
+    assert not len(footage.footage(given().capture, played).numbers)
+
+
+def test_the_video_s_camera_projects_as_the_contract_says() -> None:
+    _, played = filmed()
+    point = np.array([20.0, -30.0, 40.0])
+    x, y, z = played.rotation[7] @ point + played.translation[7]
+    d = 1 + played.k1 * (x * x + y * y) / z**2
+    pixels, depth = footage.shot(played, 7).project(point[None])
+    np.testing.assert_allclose(pixels[0], [120 + 420 * d * x / z, 160 + 420 * d * y / z], atol=1e-9)
+    assert depth[0] == pytest.approx(z)
+
+
+def test_a_head_drawn_through_the_video_s_camera_covers_its_own_pixels() -> None:
+    t = synthetic.template()
+    _, played = filmed()
+    at = footage.shot(played, 12)
+    pixels, _ = at.project(t.mean[t.regions["face"]])
+    crop = overlay.cut(np.zeros((SIZE[1], SIZE[0], 3), np.uint8), np.zeros(2), np.array(SIZE), SIZE)
+    drawn = footage.through(at, crop, t.mean, t.triangles, heads.plain(t))
+    empty = footage.through(at, crop, t.mean, t.triangles[:0], heads.plain(t))
+    there = np.floor(pixels).astype(int)
+    head = np.abs(drawn.astype(int) - empty).max(axis=2) > 3
+    assert head[there[:, 1], there[:, 0]].mean() > 0.98
+    assert 0.1 < head.mean() < 0.9
+
+
+def test_weights_are_plotted_to_their_scale() -> None:
+    _, played = filmed()
+    drawn = diagrams.weights(played, ["jawOpen"])
+    curve = re.findall(r'class="weight" d="M([^"]+)Z"', drawn)
+    points = np.array([[float(v) for v in p.split()] for p in curve[0].split("L")])
+    np.testing.assert_allclose(points[[0, -1], 1], 38.0)  # the base line
+    np.testing.assert_allclose(
+        (38.0 - points[1:-1, 1]) / 26, played.weights[:, ARKIT_NAMES.index("jawOpen")], atol=0.01
+    )
+    assert drawn.count('class="lack"') == 1
+    assert diagrams._runs(np.array([1, 1, 0, 1], bool)) == [(0, 1), (3, 3)]

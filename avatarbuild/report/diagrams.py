@@ -1,4 +1,4 @@
-"""Drawings in SVG, which follow the page's colours: from where the photos see the face, and where the cameras stood."""
+"""Drawings in SVG, which follow the page's colours: the photos' directions, cameras about the head, weights in time."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from html import escape
 import cv2
 import numpy as np
 
-from avatarbuild.artefacts import Cameras, Capture, Neutral
+from avatarbuild.artefacts import Cameras, Capture, Neutral, Performance
 from avatarbuild.landmarks import face_size
 from avatarbuild.report.overlay import Shot
-from avatarbuild.template import Template
+from avatarbuild.template import ARKIT_NAMES, Template
 
 TRUSTED_PRESENCE, TRUSTED_YAW = 0.9, 60.0
 _SOFT, _BLURRED = 1.25, 1.6  # times the usual blur
 _YAW, _PITCH = 95.0, 45.0  # degrees at the coverage plot's edges
 _BIN = 15.0  # degrees of yaw that need a photo each
+_DRAWN = 600  # points of a curve; more no screen shows
 _STEP = 4.0  # mm of the raster that the head's outline is traced in
 
 
@@ -114,6 +115,42 @@ def colour_bar(scale: float, colours: list[tuple[int, int, int]]) -> str:
         label = f"{'≤ −' if share == -1 else '≥ +' if share == 1 else '−' if share < 0 else '+' if share else ''}"
         parts.append(_text(10 + 200 * (1 + share), 38, f"{label}{abs(share) * scale:g}", _anchor(share)))
     return "".join(parts) + "</svg>"
+
+
+def weights(performance: Performance, names: list[str]) -> str:
+    """An SVG: a curve a shape from 0 to 1 over the clip's seconds, with its largest value; lost frames tinted."""
+    left, right, top, tall, gap = 152.0, 680.0, 12.0, 26.0, 8.0
+    w, bottom = 720, top + len(names) * (tall + gap)
+    times = performance.times
+    length = max(float(times[-1]), 1e-3)
+    x = lambda t: left + (right - left) * t / length  # noqa: E731
+    parts = [_open(w, round(bottom + 24), "Weights over time")]
+    half = 0.5 * float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    for first, last in _runs(performance.quality <= 0):
+        a, b = max(times[first] - half, 0.0), min(times[last] + half, length)
+        parts.append(
+            f'<rect class="lack" x="{x(a):.1f}" y="{top}" width="{x(b) - x(a):.1f}" height="{bottom - top - gap:.1f}"/>'
+        )
+    step = next((s for s in (1, 2, 5, 10, 20, 30, 60, 120, 300) if length / s <= 10), 600)
+    for second in range(0, int(length) + 1, step):
+        parts.append(f'<path class="grid" d="M{x(second):.1f} {top}V{bottom - gap:.1f}"/>')
+        parts.append(_text(x(second), bottom + 12, f"{second} s"))
+    blocks = np.array_split(np.arange(len(times)), min(len(times), _DRAWN))
+    at = [x(times[block].mean()) for block in blocks]
+    for k, name in enumerate(names):
+        base = top + k * (tall + gap) + tall
+        w_j = performance.weights[:, ARKIT_NAMES.index(name)]
+        line = "L".join(f"{u:.1f} {base - tall * w_j[block].mean():.1f}" for u, block in zip(at, blocks, strict=True))
+        parts.append(f'<path class="weight" d="M{at[0]:.1f} {base:.1f}L{line}L{at[-1]:.1f} {base:.1f}Z"/>')
+        parts.append(_text(left - 10, base - 8, name, "end"))
+        parts.append(_text(right + 8, base - 8, f"{w_j.max():.2f}", "start", "faint"))
+    return "".join(parts) + "</svg>"
+
+
+def _runs(marked: np.ndarray) -> list[tuple[int, int]]:
+    """First and last place of every run of True."""
+    edges = np.diff(np.concatenate([[0], np.asarray(marked, int), [0]]))
+    return list(zip(np.flatnonzero(edges > 0).tolist(), (np.flatnonzero(edges < 0) - 1).tolist(), strict=True))
 
 
 def _anchor(share: float) -> str:

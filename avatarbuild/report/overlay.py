@@ -1,4 +1,4 @@
-"""The fitted head drawn over the photos that it came from."""
+"""The fitted head drawn over the photos and frames that it came from."""
 
 from __future__ import annotations
 
@@ -74,11 +74,15 @@ def shots(capture: Capture, cameras: Cameras, neutral: Neutral) -> list[Shot]:
     found = []
     for i, camera, R, t in zip(placed.index, placed.cameras, placed.rotation, placed.translation, strict=True):
         rotation = R @ turn.T
-        translation = t - rotation @ shift
-        x, y, z = -rotation.T @ translation
-        yaw, pitch = np.degrees([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))])
-        found.append(Shot(int(i), camera, rotation, translation, float(yaw), float(pitch)))
+        found.append(directed(int(i), camera, rotation, t - rotation @ shift))
     return found
+
+
+def directed(photo: int, camera: pycolmap.Camera, rotation: np.ndarray, translation: np.ndarray) -> Shot:
+    """A shot with its yaw and pitch."""
+    x, y, z = -rotation.T @ translation
+    yaw, pitch = np.degrees([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))])
+    return Shot(photo, camera, rotation, translation, float(yaw), float(pitch))
 
 
 def spread(found: list[Shot], capture: Capture) -> list[Shot]:
@@ -142,10 +146,10 @@ def cut(photo: np.ndarray, low: np.ndarray, high: np.ndarray, size: tuple[int, i
 
 
 def mesh_over_photo(
-    photo: np.ndarray, shot: Shot, neutral: Neutral, template: Template, lines: Lines, size: tuple[int, int]
+    photo: np.ndarray, shot: Shot, vertices: np.ndarray, template: Template, lines: Lines, size: tuple[int, int]
 ) -> Crop:
-    """A crop on the head with the mesh's quads, the rims of lids and lips, the brows and the outline over it."""
-    pixels, depth = shot.project(neutral.vertices)
+    """A crop on the head (n, 3) with its mesh's quads, the rims of lids and lips, the brows and the outline over it."""
+    pixels, depth = shot.project(vertices)
     shown = template.regions["face"] | template.regions["ears"] | template.regions["scalp"]
     low, high = pixels[shown].min(axis=0), pixels[shown].max(axis=0)
     room = _MARGIN * (high - low)
@@ -156,7 +160,7 @@ def mesh_over_photo(
     _lines(faint, at[lines.wire[visible[lines.wire].all(axis=1)]], WIRE, 1)
     image = cv2.addWeighted(faint, _FAINT, crop.image, 1 - _FAINT, 0)
     skin = template.triangles[template.parts["skin"].triangles]
-    outline = _outline(neutral.vertices, skin, lines, shot.centre)
+    outline = _outline(vertices, skin, lines, shot.centre)
     _lines(image, at[outline[visible[outline].all(axis=1)]], OUTLINE, 1)
     _contours(image, at, visible, template)
     return Crop(image, crop.origin, crop.scale)

@@ -6,9 +6,10 @@ from html import escape
 from importlib.resources import files
 from typing import Any
 
-from avatarbuild.artefacts import Albedo, Blendshapes, Cameras, Capture, Cloud, Neutral
+from avatarbuild.artefacts import Albedo, Blendshapes, Cameras, Capture, Cloud, Neutral, Performance
 from avatarbuild.report import heads, overlay, sections, words
 from avatarbuild.report.html import duration, paragraph, picture, row
+from avatarbuild.report.performance import performance_section
 from avatarbuild.report.rendering import View
 from avatarbuild.template import Template
 
@@ -22,7 +23,7 @@ _SMILE = {
 }
 _PLACES = (
     *(("advice", "What to do"), ("coverage", "Photos"), ("cloud", "Surface"), ("fit", "Fit")),
-    *(("expressions", "Expressions"), ("figures", "Figures")),
+    *(("expressions", "Expressions"), ("performance", "Performance"), ("figures", "Figures")),
 )
 
 
@@ -33,6 +34,7 @@ def page(
     neutral: Neutral,
     albedo: Albedo,
     blendshapes: Blendshapes,
+    performance: Performance,
     template: Template,
     stages: list[dict[str, Any]],
 ) -> bytes:
@@ -42,10 +44,12 @@ def page(
     stages: the stamps of the finished stages, in order: stage, figures, warnings, versions, timing. Equal inputs give
     equal bytes.
     """
-    figure = heads.figure(blendshapes, albedo.albedo, template, 1)
+    own = Blendshapes(performance.neutral, performance.deltas, performance.eye_centres)
+    figure = heads.figure(own, albedo.albedo, template, 1)
+    filmed = len(performance.times) > 0
     found = overlay.shots(capture, cameras, neutral)
     todo = words.cautions(stages)
-    links = "".join(f'<li><a href="#{key}">{name}</a></li>' for key, name in _PLACES)
+    links = "".join(f'<li><a href="#{key}">{name}</a></li>' for key, name in _PLACES if filmed or key != "performance")
     body = [
         _opening(capture, cameras, figure, stages),
         _verdict(capture, cameras, points, neutral, template, stages, len(todo)),
@@ -55,6 +59,7 @@ def page(
         sections.cloud(points, neutral),
         sections.fit(capture, found, neutral, template),
         sections.expressions(figure),
+        performance_section(capture, performance, blendshapes, figure, template) if filmed else "",
         sections.figures(stages),
         "</main>",
         _closing(stages, template),

@@ -94,7 +94,7 @@ def fit(capture: Capture, found: list[overlay.Shot], neutral: Neutral, template:
     for shot in chosen:
         rgb = capture.photos.images[shot.photo].rgb()
         name = capture.photos.names[shot.photo]
-        crop = overlay.mesh_over_photo(rgb, shot, neutral, template, drawn, _PHOTO)
+        crop = overlay.mesh_over_photo(rgb, shot, neutral.vertices, template, drawn, _PHOTO)
         photos.append(picture(crop.image, f"The head over photo {name}", f"{name}, {_side(shot.yaw)}"))
         if shot.photo == capture.frontal:
             close = _close(rgb, shot, name, capture.photos.landmarks[shot.photo, :, :2], neutral, template)

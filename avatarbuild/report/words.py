@@ -83,6 +83,15 @@ FIGURES: dict[str, dict[str, Figure]] = {
         "teeth_out_mm": Figure("Teeth before lips", "mm", "How far teeth stand out in any expression."),
         "teeth_out_at_rest_mm": Figure("At rest", "mm", "The same with the mouth closed."),
     },
+    "tracking": {
+        "frames": Figure("Frames", "", "Pictures of the video; each has weights and a pose."),
+        "processed": Figure("Tracked in full", "", "Frames that the shapes are learnt from, if they are good."),
+        "good": Figure("Good", "", "Of these, frames whose tracking can be trusted."),
+        "rounds": Figure("Rounds", "", "Of tracking and learning in turn."),
+        "moved_mm": Figure("Last round moved", "mm", "How far the last round still moved the shapes."),
+        "focal": Figure("Focal length", "px", "Of the video's camera, as it came out."),
+        "shapes_learnt": Figure("Shapes learnt", "", "Those that the video, and not the template, decided."),
+    },
     "avatar": {
         "glb_mb": Figure("Size of avatar.glb", "MB", "Opens in any viewer of glTF."),
         "shapes": Figure("Shapes that move", "", "Of the 52."),

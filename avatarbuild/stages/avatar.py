@@ -1,4 +1,4 @@
-"""The deliverables: avatar.glb, which any viewer opens, and avatar.json, which says where it comes from."""
+"""The deliverables: avatar.glb, which any viewer opens, track.json, and avatar.json, which says where they are from."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from avatarbuild import __version__
-from avatarbuild.artefacts import Albedo, Avatar, Blendshapes, Cameras, Capture, Cloud, Neutral
+from avatarbuild.artefacts import Albedo, Avatar, Blendshapes, Cameras, Capture, Cloud, Neutral, Performance
 from avatarbuild.formats import avatar_glb
 from avatarbuild.formats.images import encode_jpeg, encode_png
+from avatarbuild.formats.track import track_csv, track_json
 from avatarbuild.options import AvatarOptions
 from avatarbuild.progress import Progress
 from avatarbuild.report.page import page
@@ -29,6 +30,7 @@ def run(
     neutral: Neutral,
     albedo: Albedo,
     blendshapes: Blendshapes,
+    performance: Performance,
     options: AvatarOptions,
     progress: Progress,
     template: Template,
@@ -36,7 +38,7 @@ def run(
 ) -> Avatar:
     """The files of the avatar folder; each is complete on its own. `stamps`: what the stages before left behind."""
     rig = avatar_glb.Rig(
-        blendshapes.neutral, blendshapes.deltas, blendshapes.eye_centres, options.least_motion, options.least_turn
+        performance.neutral, performance.deltas, performance.eye_centres, options.least_motion, options.least_turn
     )
     with progress.task("avatar.glb", 1) as task:
         pictures = avatar_glb.Pictures(
@@ -46,7 +48,8 @@ def run(
             occlusion=encode_png(albedo.occlusion),
         )
         scale = {key: value for key, value in plain(cameras.scale).items() if not isinstance(value, list | dict)}
-        made = avatar_glb.write(template, rig, pictures, {"scale": scale})
+        extras = {"scale": scale, "evidence": evidence(template, performance)}
+        made = avatar_glb.write(template, rig, pictures, extras, performance)
         task.advance()
     stages = {
         "capture": capture,
@@ -55,18 +58,22 @@ def run(
         "neutral": neutral,
         "albedo": albedo,
         "blendshapes": blendshapes,
+        "tracking": performance,
     }
     files = {
         "avatar.glb": made.glb,
         "albedo.png": encode_png(albedo.albedo),
         "coverage.png": encode_png(albedo.coverage),
     }
-    about = provenance(template, capture, cameras, blendshapes, made, stages, files)
+    if len(performance.times):
+        files |= {"track.json": track_json(performance), "track.csv": track_csv(performance)}
+    about = provenance(template, capture, cameras, performance, made, stages, files)
     files |= {
         "avatar.json": (json.dumps(about, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode(),
     }
     with progress.task("report.html", 1) as task:
-        files["report.html"] = page(capture, cameras, points, neutral, albedo, blendshapes, template, list(stamps))
+        seen = (capture, cameras, points, neutral, albedo, blendshapes, performance)
+        files["report.html"] = page(*seen, template, list(stamps))
         task.advance()
     figures = {
         "glb_mb": round(len(made.glb) / 1e6, 2),
@@ -81,7 +88,7 @@ def provenance(
     template: Template,
     capture: Capture,
     cameras: Cameras,
-    blendshapes: Blendshapes,
+    performance: Performance,
     made: avatar_glb.Made,
     stages: dict[str, Any],
     files: dict[str, bytes],
@@ -90,7 +97,8 @@ def provenance(
     anywhere = [
         name for name in template.expression_names if all(name in still for still in made.without_effect.values())
     ]
-    largest = [round(float(np.linalg.norm(delta, axis=1).max()), 3) for delta in blendshapes.deltas]
+    largest = [round(float(np.linalg.norm(delta, axis=1).max()), 3) for delta in performance.deltas]
+    known = evidence(template, performance)
     frontal = capture.photos.files[capture.frontal] if capture.frontal >= 0 else None
     return {
         "version": AVATAR_VERSION,
@@ -106,7 +114,11 @@ def provenance(
             "settings": plain(capture.settings),
         },
         "scale": plain(cameras.scale),
-        "shapes": {name: {"largest_mm": size} for name, size in zip(template.expression_names, largest, strict=True)},
+        "clip": clip(performance),
+        "shapes": {
+            name: {"largest_mm": size, "evidence": known[name]}
+            for name, size in zip(template.expression_names, largest, strict=True)
+        },
         "no_effect": {"anywhere": anywhere, "meshes": made.without_effect},
         "meshes": {name: {"vertices": v, "triangles": m} for name, (v, m) in made.sizes.items()},
         "files": {
@@ -114,6 +126,31 @@ def provenance(
         },
         "figures": {name: plain(artefact.figures) for name, artefact in stages.items()},
         "warnings": {name: list(artefact.warnings) for name, artefact in stages.items()},
+    }
+
+
+def evidence(template: Template, performance: Performance) -> dict[str, float]:
+    """Shape -> how far the video, and not the transfer, decided it."""
+    return dict(zip(template.expression_names, np.round(performance.evidence, 3).tolist(), strict=True))
+
+
+def clip(performance: Performance) -> dict[str, Any] | None:
+    """The video that was tracked and its lens, for avatar.json; None without frames."""
+    if not len(performance.times):
+        return None
+    return {
+        "file": performance.video,
+        "image_size": [int(side) for side in performance.size],
+        "fps": round(performance.fps, 6),
+        "seconds": round(float(performance.times[-1]), 4),
+        "focal_px": round(performance.focal, 3),
+        "k1": round(performance.k1, 6),
+        "frames": {
+            "decoded": len(performance.times),
+            "processed": len(performance.processed),
+            "modelled": int(np.count_nonzero(performance.modelled)),
+            "lost": int(np.count_nonzero(performance.quality <= 0)),
+        },
     }
 
 
