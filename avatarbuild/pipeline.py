@@ -27,7 +27,8 @@ log = logging.getLogger(__name__)
 class Stage:
     """
     A row: `avatarbuild.stages.<name>.run(*needs, options, progress)` makes the artefact. HEAD_STAGES are given the
-    project's head template as well, as `template`; a stage that `reports`, the stamps of the others, as `stamps`.
+    project's head template as well, as `template`; a stage that `reports`, the stamps of the others, as `stamps`; one
+    that `watches` the video itself, the capture's folder as `source`.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Stage:
     version: int
     sentence: str
     reports: bool = False
+    watches: bool = False
 
 
 STAGES = (
@@ -68,8 +70,17 @@ STAGES = (
         "the 52 expressions on this head",
     ),
     Stage(
+        "tracking",
+        ("capture", "cameras", "neutral", "albedo", "blendshapes"),
+        artefacts.Performance,
+        options.TrackingOptions,
+        1,
+        "the performance in the video, and the person's own expressions",
+        watches=True,
+    ),
+    Stage(
         "avatar",
-        ("capture", "cameras", "points", "neutral", "albedo", "blendshapes"),
+        ("capture", "cameras", "points", "neutral", "albedo", "blendshapes", "tracking"),
         artefacts.Avatar,
         options.AvatarOptions,
         1,
@@ -77,7 +88,8 @@ STAGES = (
         reports=True,
     ),
 )
-HEAD_STAGES = ("neutral", "albedo", "blendshapes", "avatar")  # those that work on the template: no face, no sense
+# those that work on the template: no face, no sense
+HEAD_STAGES = ("neutral", "albedo", "blendshapes", "tracking", "avatar")
 NAMES = [stage.name for stage in STAGES]
 
 
@@ -209,6 +221,8 @@ def run(
         if stage.reports:
             stamps = [project.stamp(row.name) for row in STAGES if row.name != stage.name]
             more["stamps"] = [stamp for stamp in stamps if stamp]
+        if stage.watches:
+            more["source"] = source
         line = _run_stage(project, stage, source, made_of[stage.name], chosen[stage.name], load, progress, more)
         loaded.pop(stage.name, None)
         tell(line, True)

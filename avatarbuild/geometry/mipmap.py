@@ -111,7 +111,7 @@ def _corners(j: int, i: int, start: int, th: int, tw: int, repeat: bool) -> tupl
 
 @numba.njit(cache=True, inline="always")
 def _mix(
-    texels: np.ndarray, corners: tuple[int, int, int, int], weights: tuple[float, float, float, float], lane: int
+    texels: np.ndarray, corners: tuple[int, int, int, int], weights: tuple[np.floating, ...], lane: int
 ) -> float:
     a, b, c, d = corners
     wa, wb, wc, wd = weights

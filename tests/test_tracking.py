@@ -1,0 +1,354 @@
+"""The tracker: small quadratic programs, the lens, markers, the texture's differences, dense flow, modelling."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from itertools import product
+
+import numpy as np
+import pytest
+import synthetic
+
+from avatarbuild.artefacts import Blendshapes
+from avatarbuild.energies import texture_flow
+from avatarbuild.geometry.mipmap import build_mipmap, sample_texture
+from avatarbuild.geometry.raster import rasterise
+from avatarbuild.solvers.boxed import boxed, reduced
+from avatarbuild.stages import tracking
+from avatarbuild.template import ARKIT_NAMES, Template, expression_weights
+from avatarbuild.tracking import dense, fit, full_rate, gaze, modelling
+from avatarbuild.tracking import markers as marking
+from avatarbuild.tracking.alternation import Tracked, evidence
+from avatarbuild.tracking.fit import Face, Pinned, State, Weights, turned
+from avatarbuild.tracking.frames import Frame
+from avatarbuild.tracking.lens import Lens
+from avatarbuild.tracking.markers import SKIN, Markers
+from avatarbuild.tracking.rig import Places, Rider, Rig
+from avatarbuild.tracking.samples import flow_region
+
+A = len(ARKIT_NAMES) - 1
+LENS = Lens(700.0, 0.04, (480, 640))
+UPRIGHT = np.diag([1.0, -1.0, -1.0])  # the head's axes to the camera's
+
+
+@cache
+def template() -> Template:
+    return Template.load()
+
+
+@cache
+def rig() -> Rig:
+    t = template()
+    return Rig(t.mean, t.expressions[:A], t.triangles)
+
+
+def face() -> Face:
+    t, r = template(), rig()
+    places = Places(t.landmark_triangles[:SKIN], t.landmark_barycentric[:SKIN])
+    m = Markers(places, np.zeros((SKIN, 3)), np.ones(SKIN), np.zeros(SKIN, bool))
+    skin = t.triangles[t.parts["skin"].triangles]
+    return fit.face_of(r, LENS, m, [], skin, ((t.expression_index["mouthClose"], t.expression_index["jawOpen"]),))
+
+
+def state(weights: np.ndarray, turn: tuple[float, float, float] = (0.03, -0.1, 0.02)) -> State:
+    return State(turned(np.array(turn)) @ UPRIGHT, np.array([5.0, -8.0, 420.0]), weights)
+
+
+def seen_marks(f: Face, s: State) -> np.ndarray:
+    """(478, 2) where a face in a state shows its markers."""
+    at = f.lens.project(f.marker_rider.at(s.weights) @ s.R.T + s.t)[0]
+    return np.concatenate([at, np.zeros((10, 2))])
+
+
+def frame_of(f: Face, s: State) -> Frame:
+    nothing = np.full(A, np.nan)
+    return Frame(0, 0.0, seen_marks(f, s), 1.0, nothing, np.zeros(A), np.ones(A), np.zeros(2), [])
+
+
+# quadratic programs
+
+
+def test_boxed_against_all_faces_of_the_box() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        J = rng.standard_normal((6, 4))
+        M, b = J.T @ J + 0.01 * np.eye(4), rng.standard_normal(4)
+        best = np.inf
+        for at in product((-1, 0, 1), repeat=4):  # at the low bound, free, at the high bound
+            fixed = np.array(at)
+            x = np.where(fixed > 0, 1.0, 0.0)
+            free = fixed == 0
+            if free.any():
+                x[free] = np.linalg.solve(M[np.ix_(free, free)], b[free] - M[np.ix_(free, ~free)] @ x[~free])
+            if ((x >= -1e-9) & (x <= 1 + 1e-9)).all():
+                best = min(best, 0.5 * x @ M @ x - b @ x)
+        found = boxed(M, b, np.zeros(4), np.ones(4), np.full(4, 0.5), 5000)
+        assert 0.5 * found @ M @ found - b @ found == pytest.approx(best, abs=1e-5)
+
+
+def test_reduced_is_the_whole_systems_solution() -> None:
+    rng = np.random.default_rng(1)
+    J = rng.standard_normal((20, 9))
+    M, b = J.T @ J, rng.standard_normal(9)
+    S, r, D, d = reduced(M, b, 4)
+    rest = np.linalg.solve(S, r)
+    np.testing.assert_allclose(np.concatenate([d - D @ rest, rest]), np.linalg.solve(M, b), rtol=1e-8)
+
+
+# derivatives
+
+
+def test_lens_derivative() -> None:
+    x = np.random.default_rng(2).uniform((-90, -90, 300), (90, 90, 500), (30, 3))
+    _, J = LENS.project(x)
+    for k in range(3):
+        step = np.eye(3)[k] * 1e-4
+        numeric = (LENS.project(x + step)[0] - LENS.project(x - step)[0]) / 2e-4
+        np.testing.assert_allclose(J[..., k], numeric, atol=1e-6)
+
+
+def moved(s: State, change: np.ndarray) -> State:
+    return State(turned(change[:3]) @ s.R, s.t + change[3:6], s.weights + change[6:])
+
+
+def test_marker_derivative() -> None:
+    f = face()
+    s = state(expression_weights(jawOpen=0.3, mouthSmile=0.4)[:A])
+    pictures = f.lens.project(f.marker_rider.at(s.weights) @ s.R.T + s.t)[0]
+    pictures = pictures + np.random.default_rng(3).normal(0, 1e-6, pictures.shape)  # near zero: z / f stays as it is
+    r, J = marking.rows(f.marker_rider, f.markers, s.weights, pictures, f.lens, s.R, s.t)
+    assert np.abs(r).max() < 1e-5
+    for k in (0, 1, 2, 3, 4, 5, 6 + 17, 6 + 23):
+        step = np.zeros(6 + A)
+        step[k] = 1e-5
+        ahead, behind = (moved(s, sign * step) for sign in (1, -1))
+        numeric = [
+            marking.rows(f.marker_rider, f.markers, at.weights, pictures, f.lens, at.R, at.t)[0]
+            for at in (ahead, behind)
+        ]
+        np.testing.assert_allclose(J[:, k], (numeric[0] - numeric[1]) / 2e-5, atol=2e-3 * max(1, np.abs(J[:, k]).max()))
+
+
+def test_sliding_markers_count_across_their_line_only() -> None:
+    f = face()
+    s = state(np.zeros(A))
+    pictures = seen_marks(f, s)[:SKIN]
+    sliding = template().landmark_sliding[:SKIN]
+    m = replace(f.markers, sliding=sliding)
+    shifted = pictures.copy()
+    shifted[sliding] += 3.0
+    r, _ = marking.rows(f.marker_rider, m, s.weights, shifted, f.lens, s.R, s.t)
+    across = marking._across(shifted[sliding])
+    two = r.reshape(-1, 2)[sliding]
+    np.testing.assert_allclose(across[:, 0] * two[:, 1] - across[:, 1] * two[:, 0], 0, atol=1e-9)
+    assert 0.2 < np.linalg.norm(two, axis=1).max() < 3 * np.sqrt(2)
+
+
+def wave(h: int, w: int) -> np.ndarray:
+    i, j = np.mgrid[0:h, 0:w] + 0.5
+    return (np.sin(j / 29) + np.cos(i / 37) + np.sin((i + 2 * j) / 45)).astype(np.float32)
+
+
+def test_texture_flow_derivative() -> None:
+    rng = np.random.default_rng(4)
+    points = rng.uniform((-60, -60, -10), (60, 60, 10), (40, 1, 3)) + rng.uniform(-2, 2, (40, 3, 3))
+    moves = rng.standard_normal((40, 3, 3, 2))
+    rho = rng.standard_normal((40, 3))
+    picture, everything = wave(400, 300), np.ones(40, bool)
+    R, t = turned(np.array([0.05, 0.1, -0.02])) @ UPRIGHT, np.array([3.0, 4.0, 400.0])
+
+    def look(change: np.ndarray) -> texture_flow.Sight:
+        at = points + moves @ change[6:]
+        place = (turned(change[:3]) @ R, t + change[3:6])
+        return texture_flow.sight(at, everything, picture, np.array([20.0, 30.0]), 1.5, LENS.parameters, *place)
+
+    here = look(np.zeros(8))
+    J = texture_flow.jacobian(moves, here)
+    _, known = texture_flow.residuals(rho, here)
+    assert known.mean() > 0.8
+    for k in range(8):
+        step = np.zeros(8)
+        step[k] = 1e-3
+        ahead, behind = (texture_flow.residuals(rho, look(sign * step))[0] for sign in (1, -1))
+        numeric = ((ahead - behind) / (2 * step[k])).ravel()
+        use = known.ravel()
+        assert np.corrcoef(J[use, k], numeric[use])[0, 1] > 0.97  # a slope is the mean of its four pixels' own
+        assert J[use, k] @ numeric[use] == pytest.approx(J[use, k] @ J[use, k], rel=0.08)
+
+
+# fits
+
+
+def test_markers_alone_recover_pose_and_weights() -> None:
+    f = face()
+    truth = state(expression_weights(jawOpen=0.6, browInnerUp=0.8, mouthSmileLeft=0.5)[:A])
+    here = frame_of(f, truth)
+    w = Weights(sparse=1e-6, ridge=1e-6, score=0.0)
+    start = State(UPRIGHT, np.array([0.0, 0.0, 450.0]), np.zeros(A))
+    found = fit.fit_points(f, here, fit.detected(f, here, w), start, w, rigid=6, steps=25)
+    posed, wanted = (f.rig.posed(s.weights) @ s.R.T + s.t for s in (found, truth))
+    off = np.linalg.norm(posed - wanted, axis=1)[template().regions["face"]]
+    assert off.mean() < 0.3
+    assert found.weights.min() >= 0
+    assert found.weights.max() <= 1
+
+
+def test_limits_hold() -> None:
+    f = face()
+    truth = state(expression_weights(jawOpen=0.2, mouthClose=0.2)[:A])
+    here = frame_of(f, truth)
+    found = fit.fit_points(f, here, fit.detected(f, here, Weights()), truth, Weights(), rigid=0, steps=5)
+    i, j = (template().expression_index[name] for name in ("mouthClose", "jawOpen"))
+    assert found.weights[i] <= found.weights[j] + 1e-12
+
+
+def test_dense_flow_finds_a_moved_head() -> None:
+    """A head drawn with a texture, then looked for from a pose that is 4 mm off."""
+    t = template()
+    part = t.parts["skin"].triangles
+    skin, region = t.triangles[part], flow_region(t)[part]
+    rng = np.random.default_rng(5)
+    skin_noise = np.zeros((1024, 1024))
+    for cell in (4, 8, 16, 32):
+        skin_noise += np.kron(rng.standard_normal((1024 // cell,) * 2), np.full((cell, cell), 0.15))
+    texture = (build_mipmap(np.asarray(skin_noise, np.float32)[..., None]), t.uv, t.uv_triangles[part])
+    R, place = UPRIGHT, np.array([0.0, 10.0, 420.0])
+    camera = t.mean @ R.T + place
+    pixels = LENS.project(camera)[0]
+    raster = rasterise(pixels, camera[:, 2], skin, LENS.size)
+    drawn = sample_texture(texture[0], raster, pixels, camera[:, 2], skin, texture[1], texture[2])[..., 0]
+    nothing = np.full(A, np.nan)
+    here = Frame(0, 0.0, np.zeros((478, 3)), 1.0, nothing, np.zeros(A), np.ones(A), np.zeros(2), [drawn])
+    off = place + np.array([3.0, -2.0, 0.0])
+    found = dense.targets(here, t.mean, skin, region, texture, LENS, R, off, level=0)
+    assert found.share > 0.6
+    true = LENS.project(found.places.on(t.mean, skin) @ R.T + place)[0]
+    error = np.linalg.norm(found.pictures - true, axis=1)
+    assert np.median(error) < 0.3
+    assert np.quantile(error, 0.9) < 1.0
+
+
+# the eyes
+
+
+def test_gaze_of_irises_on_the_eyeballs() -> None:
+    t = template()
+    R, place = turned(np.array([0.1, 0.2, 0.0])) @ UPRIGHT, np.array([0.0, 0.0, 400.0])
+    wanted = np.array([[0.3, -0.1], [0.2, 0.15]])
+    marks = np.zeros((478, 2))
+    for side, iris in enumerate((473, 468)):
+        yaw, pitch = wanted[side]
+        ahead = np.array([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)])
+        marks[iris] = Lens(700, 0, (480, 640)).project((t.eye_centres[side] + 10.4 * ahead) @ R.T + place)[0]
+    found = gaze.gaze(marks, t.eye_centres, np.full(2, 12.0), Lens(700, 0, (480, 640)), R, place)
+    np.testing.assert_allclose(found, wanted, atol=1e-6)
+    looks = gaze.look_weights(t, found)
+    named = {name: looks[i] for i, name in enumerate(ARKIT_NAMES) if looks[i] > 0}
+    assert set(named) == {"eyeLookOutLeft", "eyeLookDownLeft", "eyeLookInRight", "eyeLookUpRight"}
+    assert named["eyeLookOutLeft"] == pytest.approx(0.3 / np.radians(t.eye_rotations["eyeLookOutLeft"].degrees))
+
+
+def test_gaze_is_held_through_a_blink() -> None:
+    angles = np.zeros((5, 2, 2))
+    angles[:, :, 0] = np.array([0.0, 9.0, np.nan, 9.0, 0.4])[:, None]
+    known = np.array([True, False, True, False, True])[:, None].repeat(2, axis=1)
+    np.testing.assert_allclose(gaze.held(angles, known)[:, 0, 0], [0, 0.1, 0.2, 0.3, 0.4])
+
+
+# every frame
+
+
+def test_smoothing_keeps_lines_and_has_no_lag() -> None:
+    line = np.linspace(0, 3, 40)[:, None]
+    np.testing.assert_allclose(full_rate.smoothed(line, np.ones(40), 30.0), line, atol=1e-9)
+    pulse = np.zeros((41, 1))
+    pulse[20] = 1
+    out = full_rate.smoothed(pulse, np.ones(41), 30.0)[:, 0]
+    np.testing.assert_allclose(out, out[::-1], atol=1e-12)
+    assert out.argmax() == 20
+
+
+def test_smoothing_halves_what_swings_at_the_cut_off() -> None:
+    time = np.arange(600) / 60
+    swing = np.cos(2 * np.pi * full_rate.CUT_OFF * time)[:, None]
+    out = full_rate.smoothed(swing, np.ones(600), 60.0)
+    assert np.abs(out[100:500]).max() == pytest.approx(0.5, abs=0.02)
+
+
+def test_bad_frames_do_not_pull() -> None:
+    line = np.linspace(0, 1, 30)[:, None]
+    spoilt, worth = line.copy(), np.ones(30)
+    spoilt[15], worth[15] = 9.0, 0.0
+    np.testing.assert_allclose(full_rate.smoothed(spoilt, worth, 30.0), line, atol=1e-3)
+
+
+# modelling
+
+
+def test_shapes_are_learnt_where_points_show_them() -> None:
+    """A person's jaw opens to one side; frames with exact points teach it, and the other shapes stay."""
+    t, base = template(), rig()
+    j, other = t.expression_index["jawOpen"], t.expression_index["browInnerUp"]
+    own = base.deltas.copy()
+    size = np.linalg.norm(own[j], axis=1)
+    own[j, :, 0] += 0.25 * size
+    person = Rig(base.neutral, own, base.triangles)
+    f = face()
+    skin = t.triangles[t.parts["skin"].triangles]
+    inside = np.flatnonzero(t.regions["face"][skin].all(axis=1))[::4]
+    places = Places(inside, np.full((len(inside), 3), 1 / 3))
+    m = Markers(places, np.zeros((len(inside), 3)), np.ones(len(inside)), np.zeros(len(inside), bool))
+    frames, pinned, states = [], [], []
+    for weight in (0.4, 0.7, 1.0):
+        s = state(expression_weights(jawOpen=weight)[:A], (0.0, 0.02, 0.0))
+        pictures = LENS.project(person.rider(places).at(s.weights) @ s.R.T + s.t)[0]
+        pinned.append([Pinned(m, base.rider(places), pictures, np.full(len(inside), 4.0), 5.0)])
+        states.append(s)
+        frames.append(frame_of(f, s))
+    freedom = modelling.Freedom(worth=1.0)
+    space = modelling.Space(t, base, np.array([0.0, 0.0, 1.0]), freedom)
+    learnt = modelling.learn(space, f, base, frames, pinned, states, (), Weights(), freedom)
+    moving = (size > 2) & t.regions["face"]
+    before = np.abs((base.deltas - own)[j, moving, 0]).mean()
+    after = np.abs((learnt.deltas - own)[j, moving, 0]).mean()
+    assert after < 0.35 * before
+    np.testing.assert_allclose(learnt.deltas[other], base.deltas[other], atol=1e-9)
+    outside = ~(t.regions["face"] | t.regions["nose"] | t.regions["lips"] | t.regions["lids"])
+    np.testing.assert_array_equal(learnt.deltas[:, outside], base.deltas[:, outside])
+
+
+def test_gauge_changes_no_pose() -> None:
+    base = rig()
+    own = base.deltas * np.linspace(0.7, 1.6, A)[:, None, None]
+    s = state(np.full(A, 0.3))
+    scaled, (out,) = modelling.gauge(Rig(base.neutral, own, base.triangles), base, [s])
+    np.testing.assert_allclose(scaled.posed(out.weights), Rig(base.neutral, own, base.triangles).posed(s.weights))
+    np.testing.assert_allclose(scaled.deltas, base.deltas, atol=1e-12)
+
+
+def test_evidence() -> None:
+    f = face()
+    half = state(expression_weights(jawOpen=0.5)[:A])
+    one = Tracked(frame_of(f, half), half, [], 1.0, np.zeros((2, 2)))
+    found = evidence([one], np.ones(1, bool), rig())
+    i = template().expression_index["jawOpen"]
+    assert found[i] == pytest.approx(0.5, abs=0.02)
+    assert found[np.arange(A) != i].max() == 0
+    assert evidence([one], np.zeros(1, bool), rig()).max() == 0
+    poor = replace(one, quality=0.1)
+    assert evidence([poor], np.ones(1, bool), rig()).max() == 0
+
+
+def test_without_a_video_the_shapes_are_the_transferred_ones() -> None:
+    t = synthetic.template()
+    shapes = Blendshapes(t.mean, t.expressions.astype(np.float32), t.eye_centres)
+    made = tracking.without(shapes, "no video")
+    assert made.warnings == ["no video"]
+    assert made.deltas is shapes.deltas
+    assert len(made.times) == 0
+
+
+def test_rider() -> None:
+    rest, moves = np.ones((2, 3)), np.arange(12.0).reshape(2, 3, 2)
+    np.testing.assert_allclose(Rider(rest, moves).at(np.array([1.0, 0.5])), 1 + moves[..., 0] + 0.5 * moves[..., 1])
