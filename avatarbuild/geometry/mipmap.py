@@ -110,12 +110,10 @@ def _corners(j: int, i: int, start: int, th: int, tw: int, repeat: bool) -> tupl
 
 
 @numba.njit(cache=True, inline="always")
-def _mix(
-    texels: np.ndarray, corners: tuple[int, int, int, int], weights: tuple[np.floating, ...], lane: int
-) -> float:
-    a, b, c, d = corners
+def _mix(texels: np.ndarray, corners: tuple[int, int, int, int], weights: tuple[np.floating, ...], lane: int) -> float:
+    i, j, k, m = corners
     wa, wb, wc, wd = weights
-    a, b, c, d = np.uint64(a + lane), np.uint64(b + lane), np.uint64(c + lane), np.uint64(d + lane)
+    a, b, c, d = np.uint64(i + lane), np.uint64(j + lane), np.uint64(k + lane), np.uint64(m + lane)
     return wa * texels[a] + wb * texels[b] + wc * texels[c] + wd * texels[d]
 
 

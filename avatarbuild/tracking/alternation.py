@@ -85,7 +85,7 @@ def begin(face: Face, frame: Frame, template: Template, eyes: Eyes, w: Weights) 
     pinned = fit.detected(face, frame, w)
     start = first_state(frame, face.lens, len(face.rig.deltas))
     state = fit.fit_points(face, frame, pinned, start, w, rigid=4, steps=0)
-    angles = gaze.gaze(frame.marks, eyes.centres, eyes.radius, face.lens, state.R, state.t)
+    angles = gaze.gaze(gaze.irises(frame), eyes.centres, eyes.radius, face.lens, state.R, state.t)
     looks = gaze.look_weights(template, angles - eyes.rest)[: len(frame.low)]
     fixed = gaze.turning(template, len(frame.low))
     frame = replace(frame, low=np.where(fixed, looks, 0.0), high=np.where(fixed, looks, frame.high))

@@ -56,7 +56,8 @@ class State:
 class Face:
     """
     What all frames share: the rig with its a active shapes, the lens, markers and samples as riders on that rig, the
-    skin's triangles (m, 3), and limits: pairs (i, j) of active shapes with w_i <= w_j.
+    skin's triangles (m, 3), limits: pairs (i, j) of active shapes with w_i <= w_j, and shape_sizes (a,): how much a
+    shape moves beside the usual one, at most 1, so that the l1 term does not silence the small ones.
     """
 
     rig: Rig
@@ -67,6 +68,7 @@ class Face:
     sample_riders: list[Rider]
     skin: np.ndarray
     limits: tuple[tuple[int, int], ...]
+    shape_sizes: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,9 @@ def face_of(
     limits: tuple[tuple[int, int], ...],
 ) -> Face:
     riders = [rig.rider(level.places) for level in samples]
-    return Face(rig, lens, markers, rig.rider(markers.places), samples, riders, skin, limits)
+    size = np.linalg.norm(rig.deltas.reshape(len(rig.deltas), -1), axis=1)
+    relative = np.minimum(size / max(float(np.median(size)), 1e-9), 1.0)
+    return Face(rig, lens, markers, rig.rider(markers.places), samples, riders, skin, limits, relative)
 
 
 def detected(face: Face, frame: Frame, w: Weights) -> list[Pinned]:
@@ -184,7 +188,7 @@ def step(
     A = A.copy()
     # written in the weights themselves, not in their change
     b = b + A[:, 6:] @ state.weights
-    b[6:] -= w.sparse
+    b[6:] -= w.sparse * face.shape_sizes
     A[range(6, 6 + a), range(6, 6 + a)] += w.ridge + w.temporal
     if before is not None:
         b[6:] += w.temporal * before

@@ -4,20 +4,44 @@ from __future__ import annotations
 
 import numpy as np
 
+from avatarbuild.geometry.iris import iris_circle
 from avatarbuild.template import ARKIT_NAMES, Template
+from avatarbuild.tracking.frames import Frame
 from avatarbuild.tracking.lens import Lens
+from avatarbuild.tracking.samples import DARK
 
 _IRISES = (473, 468)  # the detector's middle of the left and of the right iris
 _IRIS_DEPTH = 10.4 / 12  # of the eyeball's radius: from its centre to the plane of the iris
 _SIDES = ("Left", "Right")
+_LEAST_RADIUS = 5.0  # pixels
+_LEAST_SHOWN = 0.4  # of the angles that lids leave free
+_ALIKE = 0.25  # how far the rim's radius may be from the detector's
+
+
+def irises(frame: Frame) -> np.ndarray:
+    """
+    (2, 2) pixels: the middles of the left and right iris, by their rims in the frame where these show, else as the
+    detector has them: it sees an eye look aside, but hardly up or down.
+    """
+    picture = 255 * np.maximum(np.exp(frame.pyramid[0]) - DARK, 0) ** (1 / 2.2)
+    out = np.empty((2, 2))
+    for side, middle in enumerate(_IRISES):
+        mark, rim = frame.marks[middle, :2], frame.marks[[middle + 1, middle + 3], :2]
+        radius = float(np.linalg.norm(rim[0] - rim[1])) / 2
+        out[side] = mark
+        if radius >= _LEAST_RADIUS:
+            found, size, shown = iris_circle(picture, mark - frame.corner, radius)
+            if shown >= _LEAST_SHOWN and abs(size / radius - 1) < _ALIKE:
+                out[side] = found + frame.corner
+    return out
 
 
 def gaze(
     marks: np.ndarray, centres: np.ndarray, radius: np.ndarray, lens: Lens, R: np.ndarray, t: np.ndarray
 ) -> np.ndarray:
     """
-    (2, 2) radians, yaw and pitch of the left and right eye: where the ray through the middle of the iris, marks (478, 2
-    or more) pixels, meets the sphere that its plane touches; NaN where it misses.
+    (2, 2) radians, yaw and pitch of the left and right eye: where the ray through the middle of the iris, marks (2, 2)
+    pixels, meets the sphere that its plane touches; NaN where it misses.
 
     centres (2, 3) and radius (2,) mm of the eyeballs in the head frame. Yaw is positive to the subject's left, pitch
     up.
@@ -25,8 +49,8 @@ def gaze(
     out = np.full((2, 2), np.nan)
     w, h = lens.size
     eye = -R.T @ t
-    for side, iris in enumerate(_IRISES):
-        flat = (marks[iris, :2] - (w / 2, h / 2)) / lens.focal
+    for side in range(2):
+        flat = (marks[side] - (w / 2, h / 2)) / lens.focal
         ray = R.T @ np.array([flat[0], flat[1], 1.0])
         ray /= np.linalg.norm(ray)
         to = eye - centres[side]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from avatarbuild.tracking.fit import Face, Pinned, State, turned
@@ -22,9 +24,7 @@ def refined(face: Face, states: list[State], pinned: list[list[Pinned]], weight:
     """
     lens, first = face.lens, face.lens.focal
     for _ in range(_STEPS):
-        at = Face(
-            face.rig, lens, face.markers, face.marker_rider, face.samples, face.sample_riders, face.skin, face.limits
-        )
+        at = replace(face, lens=lens)
         A = np.diag([1 / _FOCAL_SD**2, 1 / _K1_SD**2])
         b = np.array([-np.log(lens.focal / first) / _FOCAL_SD**2, -lens.k1 / _K1_SD**2])
         kept = []
