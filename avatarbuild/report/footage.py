@@ -16,8 +16,8 @@ from avatarbuild.report.shading import Light
 from avatarbuild.template import ARKIT_NAMES, Template
 
 GOOD = 0.5  # quality from which a frame is shown
-_ROOM = 0.4  # of a shape's extent, about it
-_LEAST = 0.25  # of a shape's largest motion, from which a vertex belongs to it
+_ROOM = 0.18  # of a shape's extent, about it
+_LEAST = 0.35  # of a shape's largest motion, from which a vertex belongs to it
 
 
 @dataclass(frozen=True)
