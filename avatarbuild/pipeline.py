@@ -43,14 +43,14 @@ class Stage:
 
 STAGES = (
     Stage("capture", (), artefacts.Capture, options.CaptureOptions, 1, "upright photos, video frames, landmarks"),
-    Stage("cameras", ("capture",), artefacts.Cameras, options.CamerasOptions, 1, "where each photo was taken from"),
+    Stage("cameras", ("capture",), artefacts.Cameras, options.CamerasOptions, 2, "where each photo was taken from"),
     Stage("points", ("capture", "cameras"), artefacts.Cloud, options.PointsOptions, 1, "a dense cloud of the head"),
     Stage(
         "neutral",
         ("capture", "cameras", "points"),
         artefacts.Neutral,
         options.NeutralOptions,
-        1,
+        2,
         "the person's head: model, thin shell, eyes, teeth",
     ),
     Stage(
@@ -58,7 +58,7 @@ STAGES = (
         ("capture", "cameras", "points", "neutral"),
         artefacts.Albedo,
         options.AlbedoOptions,
-        1,
+        2,
         "the skin's colour without the light",
     ),
     Stage(

@@ -89,7 +89,7 @@ def begin(face: Face, frame: Frame, template: Template, eyes: Eyes, w: Weights) 
     looks = gaze.look_weights(template, angles - eyes.rest)[: len(frame.low)]
     fixed = gaze.turning(template, len(frame.low))
     frame = replace(frame, low=np.where(fixed, looks, 0.0), high=np.where(fixed, looks, frame.high))
-    state = fit.fit_points(face, frame, pinned, replace(state, weights=frame.low), w, rigid=0, steps=8)
+    state = fit.fit_points(face, frame, pinned, replace(state, weights=frame.low), w, rigid=0, steps=6)
     return Tracked(frame, state, pinned, 0.0, angles - eyes.rest)
 
 
