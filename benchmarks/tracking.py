@@ -1,0 +1,144 @@
+"""
+How near the tracked performance is to the truth, and what learning the person's own shapes is worth.
+
+python benchmarks/tracking.py PROJECT --truth TRUTH --scorer score.py
+AVATARBUILD_BENCHMARK=FOLDER stands for --truth FOLDER/truth_b --scorer FOLDER/score.py. Stage tracking must have run;
+with `--set tracking.leave_out=3` the frames that taught nothing are shown apart. Rows: surface after a rigid motion a
+frame, corresponding points after one (and its parts across and along the line of sight), five skin points' drift in
+pixels; for the person's own shapes, the transferred ones at the same weights, and no expression at all.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from neutral import load_scorer
+
+from avatarbuild.artefacts import Blendshapes, Performance
+from avatarbuild.template import ARKIT_NAMES, Template
+from avatarbuild.tracking.lens import Lens
+
+EVERY = 4  # frame of the whole clip
+LEAST = 0.2  # channels of the truth that move by less are not judged
+
+
+def main() -> None:
+    home = os.environ.get("AVATARBUILD_BENCHMARK")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("project", type=Path)
+    parser.add_argument("--truth", type=Path, default=Path(home) / "truth_b" if home else None)
+    parser.add_argument("--scorer", type=Path, default=Path(home) / "score.py" if home else None)
+    a = parser.parse_args()
+    if a.truth is None or a.scorer is None:
+        parser.error("give --truth and --scorer, or set AVATARBUILD_BENCHMARK")
+    scorer, template = load_scorer(a.scorer), Template.load()
+    truth = scorer.GT(str(a.truth))
+    made = Performance.load(a.project / "07-tracking")
+    transferred = Blendshapes.load(a.project / "06-blendshapes")
+    sight = Judge(scorer, truth, template, transferred.neutral, Lens(made.focal, made.k1, made.size))
+    groups = {"processed": made.processed, "all": np.arange(0, len(made.times), EVERY)}
+    if not made.modelled.all():
+        groups["left out"] = made.processed[~made.modelled]
+    rigs = {
+        "own shapes": (made.neutral, made.deltas.astype(float)),
+        "transferred": (transferred.neutral, transferred.deltas.astype(float)),
+        "no expression": (made.neutral, np.zeros_like(made.deltas, float)),
+    }
+    print(f"{'':26s} surface   90 %  corresponding (across, along)  drift 50 %, 95 %  landmarks, px")
+    for group, frames in groups.items():
+        for name, (neutral, deltas) in rigs.items():
+            rows = [
+                sight.frame(
+                    f, neutral + np.tensordot(made.weights[f], deltas, 1), made.rotation[f], made.translation[f]
+                )
+                for f in frames
+            ]
+            surface, point, across, along, marks = (np.array([row[k] for row in rows]) for k in range(5))
+            drift = np.array([row[5] for row in rows])
+            print(
+                f"{group + ', ' + name:26s} {surface.mean():7.3f} {np.quantile(surface, 0.9):6.3f} {point.mean():9.3f}"
+                f" ({across.mean():.3f}, {along.mean():.3f}) {np.median(drift):15.2f} {np.quantile(drift, 0.95):6.2f}"
+                f" {marks.mean():14.2f}",
+                flush=True,
+            )
+    weights(truth, made)
+
+
+def weights(truth: Any, made: Performance) -> None:
+    """Correlation with the true weights of each channel that moves."""
+    found = {}
+    for name, true in truth.arkW.items():
+        if name in ARKIT_NAMES and np.ptp(true) >= LEAST:
+            own = made.weights[: len(true), ARKIT_NAMES.index(name)]
+            found[name] = float(np.corrcoef(true[: len(own)], own)[0, 1]) if own.std() > 1e-6 else 0.0
+    worst = ", ".join(f"{name} {value:.2f}" for name, value in sorted(found.items(), key=lambda item: item[1])[:10])
+    print(f"weights: median correlation {np.median(list(found.values())):.2f} of {len(found)} channels; worst {worst}")
+
+
+class Judge:
+    """The truth's skin points on the avatar: fixed once, on the heads at rest."""
+
+    def __init__(self, scorer: ModuleType, truth: Any, template: Template, neutral: np.ndarray, lens: Lens) -> None:
+        self.scorer, self.truth, self.lens = scorer, truth, lens
+        self.skin = template.triangles[template.parts["skin"].triangles].astype(np.int64)
+        marks = template.landmarks(neutral / 1000)[template.landmarks68]
+        head = {"V": neutral / 1000, "F": self.skin, "UV": None, "morph": {}}
+        (size, R, t), _, _ = scorer.align_neutral(head, truth, marks, False)
+        self.size = size / 1000
+        self.points = np.unique(np.concatenate([truth.narrow[::3], truth.lm[17:]]))
+        surface = scorer.Surface(self.size * neutral @ R.T + t, self.skin)
+        _, self.triangle, self.share, _ = surface.closest(truth.V[self.points])
+        self.area = scorer.varea(truth.V, truth.F)[self.points]
+        self.marks = np.searchsorted(self.points, truth.lm[17:])
+        lm = truth.V[truth.lm]
+        five = (
+            (lm[36] + lm[48]) / 2 + (0, 0, 12),  # cheeks
+            (lm[45] + lm[54]) / 2 + (0, 0, 12),
+            (lm[21] + lm[22]) / 2 + (0, 25, 0),  # forehead
+            (lm[57] + lm[8]) / 2,  # chin
+            lm[27],  # bridge of the nose
+        )
+        self.five = [int(np.linalg.norm(truth.V[self.points] - p, axis=1).argmin()) for p in five]
+
+    def frame(
+        self, f: int, posed: np.ndarray, R: np.ndarray, t: np.ndarray
+    ) -> tuple[float, float, float, float, float, np.ndarray]:
+        """Surface, corresponding points, their parts across and along the sight, landmarks, the five points' drift."""
+        scorer, truth = self.scorer, self.truth
+        true = scorer.apply(truth.head2cam(f), truth.frame(f))[self.points]
+        own = (posed[self.skin[self.triangle]] * self.share[..., None]).sum(axis=1)
+        pixels = self.lens.project(own @ R.T + t)[0] - 0.5
+        off = np.linalg.norm(pixels - self._pixels(true), axis=1)
+        visible = truth.v["landmarks68_visible"][f][17:]
+        marks = np.linalg.norm(pixels[self.marks] - truth.v["landmarks68"][f][17:], axis=1)[visible].mean()
+        metric = self.size * own @ R.T
+        _, turn, shift = scorer.umeyama(metric, true, self.area, scale=False)
+        left = metric @ turn.T + shift - true
+        share = self.area / self.area.sum()
+        surface = scorer.rigid_p2plane((true - shift) @ turn, scorer.Surface(self.size * posed @ R.T, self.skin))
+        return (
+            float(share @ surface),
+            float(share @ np.linalg.norm(left, axis=1)),
+            float(share @ np.linalg.norm(left[:, :2], axis=1)),
+            float(share @ np.abs(left[:, 2])),
+            float(marks),
+            off[self.five],
+        )
+
+    def _pixels(self, x: np.ndarray) -> np.ndarray:
+        K, (k1, k2, p1, p2, k3) = self.truth.v["K"], self.truth.v["dist"]
+        p, q = x[:, 0] / x[:, 2], x[:, 1] / x[:, 2]
+        r2 = p * p + q * q
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        u = p * radial + 2 * p1 * p * q + p2 * (r2 + 2 * p * p)
+        v = q * radial + p1 * (r2 + 2 * q * q) + 2 * p2 * p * q
+        return np.stack([u, v], axis=1) @ K[:2, :2].T + K[:2, 2]
+
+
+if __name__ == "__main__":
+    main()
