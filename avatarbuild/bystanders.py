@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from avatarbuild.landmarks import DETECTOR_SIZE, Detection, Face, detect, face_size, same_place, starts, trace
+from avatarbuild.landmarks import DETECTOR_SIZE, Face, detect_in_windows, face_size, same_place, trace
 
 _REACH = 1.75  # side of a window in sizes of the subject's face: faces of 0.35 to 1 times that size are seen in it
 _LEAST_SIDE = 0.45  # of the picture's longer side, whatever the face's size
@@ -25,7 +25,7 @@ def further_faces(rgb: np.ndarray, faces: list[Face], presence: float) -> list[F
     scale = DETECTOR_SIZE / side
     small = cv2.resize(rgb, (round(w * scale), round(h * scale)), interpolation=cv2.INTER_AREA)
     known, further = list(faces), []
-    for detection in _windows(small):
+    for detection in detect_in_windows(small, DETECTOR_SIZE, _THRESHOLD):
         centre, reach = detection.region.centre / scale, detection.region.side / scale
         if any(_about(centre, face) for face in known):
             continue
@@ -34,16 +34,6 @@ def further_faces(rgb: np.ndarray, faces: list[Face], presence: float) -> list[F
             known.append(face)
             further.append(face)
     return further
-
-
-def _windows(small: np.ndarray) -> list[Detection]:
-    """Detections in overlapping windows of the detector's own size, best first."""
-    found = []
-    for y in starts(small.shape[0], DETECTOR_SIZE):
-        for x in starts(small.shape[1], DETECTOR_SIZE):
-            for score, region in detect(small[y : y + DETECTOR_SIZE, x : x + DETECTOR_SIZE], _THRESHOLD):
-                found.append(Detection(score, region._replace(centre=region.centre + np.array([x, y]))))
-    return sorted(found, key=lambda detection: -detection.score)
 
 
 def _about(centre: np.ndarray, face: Face) -> bool:

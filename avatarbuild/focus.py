@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from scipy.linalg import eigh
 
+from avatarbuild.formats.colour import LUMINANCE
 from avatarbuild.landmarks import crop, region_about
 from avatarbuild.portrait import BROW, CHEEK, EYE, LIPS, OVAL, twin
 
@@ -96,9 +97,6 @@ def blur_radius(rgb: np.ndarray) -> float:
         return 20.0
     blur = np.sqrt(max((_COARSE**2 - squared * _FINE**2) / (squared - 1.0), 0.0))
     return float(np.clip(blur, _LEAST_BLUR, 20.0))
-
-
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
 
 
 def linear(rgb: np.ndarray) -> np.ndarray:

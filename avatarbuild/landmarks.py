@@ -300,15 +300,20 @@ def _looks(rgb: np.ndarray) -> Iterator[list[Detection]]:
     h, w = rgb.shape[:2]
     for parts in () if clear or max(h, w) <= _CROP_SIZE else (2, 3):
         side = 2 * max(h, w) // (parts + 1)
-        found = []
-        for y in starts(h, side):
-            for x in starts(w, side):
-                for score, region in detect(rgb[y : y + side, x : x + side]):
-                    found.append(Detection(score, region._replace(centre=region.centre + np.array([x, y]))))
-        yield sorted(found, key=lambda detection: -detection.score)[:8]
+        yield detect_in_windows(rgb, side)[:8]
 
 
-def starts(length: int, side: int) -> list[int]:
+def detect_in_windows(rgb: np.ndarray, side: int, threshold: float = 0.4) -> list[Detection]:
+    """Faces by the detector in overlapping square windows of `side` pixels, best first; a face may come twice."""
+    found = []
+    for y in _starts(rgb.shape[0], side):
+        for x in _starts(rgb.shape[1], side):
+            for score, region in detect(rgb[y : y + side, x : x + side], threshold):
+                found.append(Detection(score, region._replace(centre=region.centre + np.array([x, y]))))
+    return sorted(found, key=lambda detection: -detection.score)
+
+
+def _starts(length: int, side: int) -> list[int]:
     """Where windows of `side`, overlapping by at least a third, begin on a line of `length`."""
     n = max(1, int(np.ceil((length - side) / (side * 2 / 3))) + 1)
     return sorted({int(v) for v in np.linspace(0, max(0, length - side), n)})

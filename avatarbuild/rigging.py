@@ -6,9 +6,20 @@ import numpy as np
 
 from avatarbuild.contacts import STILL, Contacts, Head
 from avatarbuild.energies import jaw
+from avatarbuild.geometry.similarity import similarity
 from avatarbuild.template import COMBINATION_LIMITS, Template
 
 MOUTH_PARTS = ("teeth_upper", "teeth_lower", "gums", "tongue")
+
+
+def in_template_s_frame(t: Template, vertices: np.ndarray, eye_centres: np.ndarray) -> tuple[Head, float, np.ndarray]:
+    """
+    A person (n, 3) in the template's frame and size, by the face: x' = R^T (x - t) / s; and s, R (3, 3), with which
+    displacements go back: d = s R d'.
+    """
+    face = t.regions["face"]
+    size, turn, shift = similarity(t.mean[face], np.asarray(vertices, np.float64)[face])
+    return Head((vertices - shift) @ turn / size, (eye_centres - shift) @ turn / size), size, turn
 
 
 def limits_of(t: Template) -> dict[int, int]:
@@ -46,9 +57,20 @@ def keep(t: Template, person: Head, deltas: np.ndarray) -> tuple[np.ndarray, dic
     for j in range(len(posed)):
         if j not in limits:
             posed[j, skin] = contacts.lay_lids(j, posed[j, skin])
-    carry_parts(t, person, poses, posed)
-    for j in range(len(posed)):
-        posed[j] = contacts.cover_teeth(posed[j], poses[j])
+    return finish(t, contacts, poses, posed, cover=True)
+
+
+def finish(
+    t: Template, contacts: Contacts, poses: np.ndarray, posed: np.ndarray, *, cover: bool
+) -> tuple[np.ndarray, dict[str, float]]:
+    """
+    The shapes (e, n, 3) of a skin's poses, and what is left of the contacts: `posed` (e, n, 3), where the template
+    makes `poses`, gets the mouth's parts, with `cover` lips and cheeks off the teeth, limited shapes less their limits.
+    """
+    carry_parts(t, contacts.person, poses, posed)
+    if cover:
+        for j in range(len(posed)):
+            posed[j] = contacts.cover_teeth(posed[j], poses[j])
     figures = contacts.figures(posed, poses)
     without_limits(t, posed)
     return posed, figures

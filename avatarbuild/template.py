@@ -19,6 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from avatarbuild.errors import InputError
+from avatarbuild.geometry.rotations import rotation
 
 ARKIT_NAMES: tuple[str, ...] = (
     *("eyeBlinkLeft", "eyeLookDownLeft", "eyeLookInLeft", "eyeLookOutLeft", "eyeLookUpLeft", "eyeSquintLeft"),
@@ -175,10 +176,10 @@ class Template:
     def eye_rotation_matrices(self, weights: np.ndarray) -> np.ndarray:
         """(2, 3, 3): R_s = exp([sum_j w_j degrees_j axis_j]_x), left then right."""
         turns = np.zeros((2, 3))
-        for name, rotation in self.eye_rotations.items():
-            side = 0 if rotation.eye == "left" else 1
-            turns[side] += np.radians(rotation.degrees) * weights[self.expression_index[name]] * rotation.axis
-        return np.stack([_rotation(turn) for turn in turns])
+        for name, eye in self.eye_rotations.items():
+            side = 0 if eye.eye == "left" else 1
+            turns[side] += np.radians(eye.degrees) * weights[self.expression_index[name]] * eye.axis
+        return np.stack([rotation(turn) for turn in turns])
 
     def allowed(self, weights: np.ndarray) -> np.ndarray:
         """Weights (e,) after the combination rules: COMBINATION_LIMITS, such as mouthClose <= jawOpen."""
@@ -199,12 +200,12 @@ class Template:
         w = np.asarray(weights, np.float64)
         posed = neutral + (self._expression_matrix @ w).reshape(-1, 3)
         if eye_positions is not None and self.eye_rotations:
-            for name, centre, rotation in zip(
+            for name, centre, turn in zip(
                 ("eye_left", "eye_right"), eye_positions, self.eye_rotation_matrices(w), strict=True
             ):
                 if name in self.parts:
                     ball = self.parts[name].vertices
-                    posed[ball] = (posed[ball] - centre) @ rotation.T + centre
+                    posed[ball] = (posed[ball] - centre) @ turn.T + centre
         return posed
 
     def landmarks(self, vertices: np.ndarray) -> np.ndarray:
@@ -369,16 +370,6 @@ def _write_npz(path: Path, arrays: dict[str, np.ndarray]) -> None:
             entry.external_attr = 0o644 << 16
             with archive.open(entry, "w", force_zip64=True) as stream:
                 np.lib.format.write_array(stream, np.ascontiguousarray(arrays[key]), allow_pickle=False)
-
-
-def _rotation(turn: np.ndarray) -> np.ndarray:
-    """exp([turn]_x) by Rodrigues' formula; turn (3,) radians."""
-    angle = float(np.linalg.norm(turn))
-    if angle < 1e-12:
-        return np.eye(3)
-    x, y, z = turn / angle
-    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
 
 
 def _loop_step(triangles: np.ndarray, n: int, *, smooth: bool) -> tuple[sp.csr_matrix, np.ndarray]:

@@ -9,8 +9,6 @@ neutral must have run. Six photos are left out of the texture for the comparison
 
 from __future__ import annotations
 
-import argparse
-import os
 import resource
 import subprocess
 import sys
@@ -20,6 +18,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from scoring import arguments
 
 from avatarbuild.artefacts import Albedo, Cameras, Capture, Cloud, Neutral, Views
 from avatarbuild.formats.images import encode_png
@@ -42,11 +41,7 @@ LEFT_OUT, FRAMES = 6, 10
 
 
 def main() -> None:
-    home = os.environ.get("AVATARBUILD_BENCHMARK")
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("project", type=Path)
-    parser.add_argument("--truth", type=Path, default=Path(home) / "truth_b" if home else None)
-    parser.add_argument("--scorer", type=Path, default=Path(home) / "score.py" if home else None)
+    parser = arguments(__doc__)
     parser.add_argument("--glb", type=Path, help="the avatar with this neutral head, for the scorer")
     parser.add_argument("--sizes", type=int, nargs="*", default=[1024, 2048, 4096])
     parser.add_argument("--pictures", type=Path)

@@ -9,10 +9,6 @@ also the head from a cloud without half of a cheek, and from one with gross outl
 
 from __future__ import annotations
 
-import argparse
-import importlib.util
-import os
-import sys
 import time
 from pathlib import Path
 from types import ModuleType
@@ -21,6 +17,7 @@ from typing import Any
 import numpy as np
 from eyes import true_eyes, true_head
 from scipy.spatial import cKDTree
+from scoring import arguments, load_scorer, scored
 
 from avatarbuild.artefacts import Cameras, Capture, Cloud, Neutral
 from avatarbuild.geometry.similarity import similarity
@@ -38,15 +35,9 @@ MEGAPIXELS = 2e6  # at which rims are compared
 
 
 def main() -> None:
-    home = os.environ.get("AVATARBUILD_BENCHMARK")
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("project", type=Path)
-    parser.add_argument("--truth", type=Path, default=Path(home) / "truth_b" if home else None)
-    parser.add_argument("--scorer", type=Path, default=Path(home) / "score.py" if home else None)
+    parser = arguments(__doc__)
     parser.add_argument("--trials", action="store_true")
-    a = parser.parse_args()
-    if a.truth is None or a.scorer is None:
-        parser.error("give --truth and --scorer, or set AVATARBUILD_BENCHMARK")
+    a = scored(parser)
     scorer = load_scorer(a.scorer)
     template, truth = Template.load(), scorer.GT(str(a.truth))
     capture = Capture.load(a.project / "01-capture")
@@ -69,16 +60,6 @@ def main() -> None:
         rims(template, capture, cameras, made, (known[0] - t) @ R / s * 1000)
     if a.trials:
         trials(scorer, truth, template, capture, cameras, cloud, made)
-
-
-def load_scorer(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location("scorer", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["scorer"] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 def show(

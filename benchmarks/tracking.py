@@ -10,16 +10,14 @@ pixels; for the person's own shapes, the transferred ones at the same weights, a
 
 from __future__ import annotations
 
-import argparse
-import os
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
-from neutral import load_scorer
+from scoring import arguments, load_scorer, scored
 
 from avatarbuild.artefacts import Blendshapes, Performance
+from avatarbuild.geometry.raster import project
 from avatarbuild.template import ARKIT_NAMES, Template
 from avatarbuild.tracking.lens import Lens
 
@@ -28,14 +26,7 @@ LEAST = 0.2  # channels of the truth that move by less are not judged
 
 
 def main() -> None:
-    home = os.environ.get("AVATARBUILD_BENCHMARK")
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("project", type=Path)
-    parser.add_argument("--truth", type=Path, default=Path(home) / "truth_b" if home else None)
-    parser.add_argument("--scorer", type=Path, default=Path(home) / "score.py" if home else None)
-    a = parser.parse_args()
-    if a.truth is None or a.scorer is None:
-        parser.error("give --truth and --scorer, or set AVATARBUILD_BENCHMARK")
+    a = scored(arguments(__doc__))
     scorer, template = load_scorer(a.scorer), Template.load()
     truth = scorer.GT(str(a.truth))
     made = Performance.load(a.project / "07-tracking")
@@ -113,7 +104,8 @@ class Judge:
         true = scorer.apply(truth.head2cam(f), truth.frame(f))[self.points]
         own = (posed[self.skin[self.triangle]] * self.share[..., None]).sum(axis=1)
         pixels = self.lens.project(own @ R.T + t)[0] - 0.5
-        off = np.linalg.norm(pixels - self._pixels(true), axis=1)
+        seen, _ = project(true, truth.v["K"], truth.v["dist"], np.eye(3), np.zeros(3))
+        off = np.linalg.norm(pixels - seen, axis=1)
         visible = truth.v["landmarks68_visible"][f][17:]
         marks = np.linalg.norm(pixels[self.marks] - truth.v["landmarks68"][f][17:], axis=1)[visible].mean()
         metric = self.size * own @ R.T
@@ -129,15 +121,6 @@ class Judge:
             float(marks),
             off[self.five],
         )
-
-    def _pixels(self, x: np.ndarray) -> np.ndarray:
-        K, (k1, k2, p1, p2, k3) = self.truth.v["K"], self.truth.v["dist"]
-        p, q = x[:, 0] / x[:, 2], x[:, 1] / x[:, 2]
-        r2 = p * p + q * q
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        u = p * radial + 2 * p1 * p * q + p2 * (r2 + 2 * p * p)
-        v = q * radial + p1 * (r2 + 2 * q * q) + 2 * p2 * p * q
-        return np.stack([u, v], axis=1) @ K[:2, :2].T + K[:2, 2]
 
 
 if __name__ == "__main__":

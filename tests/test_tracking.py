@@ -14,13 +14,14 @@ from avatarbuild.artefacts import Blendshapes
 from avatarbuild.energies import texture_flow
 from avatarbuild.geometry.mipmap import build_mipmap, sample_texture
 from avatarbuild.geometry.raster import rasterise
+from avatarbuild.geometry.rotations import rotation
 from avatarbuild.solvers.boxed import boxed, reduced
 from avatarbuild.stages import tracking
 from avatarbuild.template import ARKIT_NAMES, Template, expression_weights
 from avatarbuild.tracking import dense, fit, full_rate, gaze, modelling
 from avatarbuild.tracking import markers as marking
 from avatarbuild.tracking.alternation import Tracked, evidence
-from avatarbuild.tracking.fit import Face, Pinned, State, Weights, turned
+from avatarbuild.tracking.fit import Face, Pinned, State, Weights
 from avatarbuild.tracking.frames import Frame
 from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.markers import SKIN, Markers
@@ -52,7 +53,7 @@ def face() -> Face:
 
 
 def state(weights: np.ndarray, turn: tuple[float, float, float] = (0.03, -0.1, 0.02)) -> State:
-    return State(turned(np.array(turn)) @ UPRIGHT, np.array([5.0, -8.0, 420.0]), weights)
+    return State(rotation(np.array(turn)) @ UPRIGHT, np.array([5.0, -8.0, 420.0]), weights)
 
 
 def seen_marks(f: Face, s: State) -> np.ndarray:
@@ -109,7 +110,7 @@ def test_lens_derivative() -> None:
 
 
 def moved(s: State, change: np.ndarray) -> State:
-    return State(turned(change[:3]) @ s.R, s.t + change[3:6], s.weights + change[6:])
+    return State(rotation(change[:3]) @ s.R, s.t + change[3:6], s.weights + change[6:])
 
 
 def test_marker_derivative() -> None:
@@ -156,11 +157,11 @@ def test_texture_flow_derivative() -> None:
     moves = rng.standard_normal((40, 3, 3, 2))
     rho = rng.standard_normal((40, 3))
     picture, everything = wave(400, 300), np.ones(40, bool)
-    R, t = turned(np.array([0.05, 0.1, -0.02])) @ UPRIGHT, np.array([3.0, 4.0, 400.0])
+    R, t = rotation(np.array([0.05, 0.1, -0.02])) @ UPRIGHT, np.array([3.0, 4.0, 400.0])
 
     def look(change: np.ndarray) -> texture_flow.Sight:
         at = points + moves @ change[6:]
-        place = (turned(change[:3]) @ R, t + change[3:6])
+        place = (rotation(change[:3]) @ R, t + change[3:6])
         return texture_flow.sight(at, everything, picture, np.array([20.0, 30.0]), 1.5, LENS.parameters, *place)
 
     here = look(np.zeros(8))
@@ -234,7 +235,7 @@ def test_dense_flow_finds_a_moved_head() -> None:
 
 def test_gaze_of_irises_on_the_eyeballs() -> None:
     t = template()
-    R, place = turned(np.array([0.1, 0.2, 0.0])) @ UPRIGHT, np.array([0.0, 0.0, 400.0])
+    R, place = rotation(np.array([0.1, 0.2, 0.0])) @ UPRIGHT, np.array([0.0, 0.0, 400.0])
     wanted = np.array([[0.3, -0.1], [0.2, 0.15]])
     marks = np.zeros((2, 2))
     for side in range(2):

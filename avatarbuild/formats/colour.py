@@ -27,6 +27,9 @@ HLG_PEAK = 1000.0  # cd/m2: the nominal display of ITU-R BT.2100
 _KNEE = 0.8  # SDR light from which highlights are compressed
 
 
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
+
+
 def linear_from_srgb(v: np.ndarray) -> np.ndarray:
     """IEC 61966-2-1: signal in 0..1 to linear light in 0..1, float, any shape."""
     v = np.asarray(v, np.float64)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from avatarbuild.geometry.rotations import rotation
 from avatarbuild.simulation.photographs import look_at
 from avatarbuild.simulation.rendering import Camera
 from avatarbuild.template import ARKIT_NAMES
@@ -87,7 +88,7 @@ def perform(rng: np.random.Generator, seconds: float, fps: float, size: tuple[in
     shift = np.array([5.0, 4.0, 6.0]) * _wander(rng, time, 3) * ramp
     pose = np.tile(np.eye(4), (f, 1, 1))
     for i in range(f):
-        R = _rotation(turn[i])
+        R = rotation(turn[i])
         pose[i, :3, :3] = R
         pose[i, :3, 3] = PIVOT - R @ PIVOT + shift[i]
     return Performance(np.clip(weights, 0, 1), pose, _handheld(rng, time, size), fps)
@@ -127,13 +128,3 @@ def _smooth(values: np.ndarray, frames: float) -> np.ndarray:
     kernel /= kernel.sum()
     padded = np.pad(values, ((reach, reach), (0, 0)), "edge")
     return np.stack([np.convolve(column, kernel, "valid") for column in padded.T], axis=1)
-
-
-def _rotation(turn: np.ndarray) -> np.ndarray:
-    """exp([turn]_x)."""
-    angle = np.linalg.norm(turn)
-    if angle < 1e-12:
-        return np.eye(3)
-    x, y, z = turn / angle
-    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)

@@ -10,10 +10,9 @@ from avatarbuild.artefacts import Blendshapes, Neutral
 from avatarbuild.contacts import LIMITS, STILL, Contacts, Head
 from avatarbuild.energies.deformation_transfer import displacement_gradients, gradient_rows, transfer_system
 from avatarbuild.errors import InputError
-from avatarbuild.geometry.similarity import similarity
 from avatarbuild.options import BlendshapesOptions
 from avatarbuild.progress import Progress, Task
-from avatarbuild.rigging import carry_parts, limits_of, poses_of, without_limits
+from avatarbuild.rigging import finish, in_template_s_frame, limits_of, poses_of
 from avatarbuild.solvers.held import solve_held
 from avatarbuild.solvers.sparse import Factor
 from avatarbuild.template import Template
@@ -38,9 +37,7 @@ def run(neutral: Neutral, options: BlendshapesOptions, progress: Progress, templ
             f"the neutral head has {len(neutral.vertices)} vertices and the template '{t.name}' {t.vertex_count}: "
             "run stage neutral again with this template"
         )
-    face = t.regions["face"]
-    size, turn, shift = similarity(t.mean[face], np.asarray(neutral.vertices, np.float64)[face])
-    person = Head((neutral.vertices - shift) @ turn / size, (neutral.eye_centres - shift) @ turn / size)
+    person, size, turn = in_template_s_frame(t, neutral.vertices, neutral.eye_centres)
     with progress.task("expressions", len(t.expressions)) as task:
         deltas, figures = transferred(t, person, options, task)
     figures = {key: round(size * value, 3) for key, value in figures.items()}
@@ -76,15 +73,9 @@ def transferred(
         posed[j, skin] = posed[limit, skin] + transfer.displacements(one, poses, posed[limit, skin][None])[0]
         if options.contacts:
             posed[j, skin] = contacts.close_lips(posed[one, skin], poses[one, skin])[0]
-    carry_parts(t, person, poses, posed)
-    if options.contacts:
-        for j in range(e):
-            posed[j] = contacts.cover_teeth(posed[j], poses[j])
-    task.advance(e / 4)
-    figures = contacts.figures(posed, poses)
-    task.advance(e / 4)
-    without_limits(t, posed)
-    return posed, figures
+    shapes = finish(t, contacts, poses, posed, cover=options.contacts)
+    task.advance(e / 2)
+    return shapes
 
 
 class Transfer:

@@ -25,9 +25,8 @@ log = logging.getLogger(__name__)
 
 LEAST_MATCHES = 15
 LEAST_PLACED = 3
-ENOUGH = (
-    0.8  # of the photos must be placed by the head's features alone; else the whole set's cameras are adjusted to it
-)
+# of the photos must be placed by the head's features alone; else the whole set's cameras are adjusted to it
+ENOUGH = 0.8
 DEFAULT_FOCAL = 1.2  # times the longer side, COLMAP's own guess where nothing is known
 SHORTEST_FOCAL = 0.35  # times the longer side: phones have no shorter lens, whatever a header claims
 OFF = 0.1  # of the focal length that was claimed: further off is worth a warning

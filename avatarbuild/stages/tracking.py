@@ -14,26 +14,24 @@ import cv2
 import numpy as np
 
 from avatarbuild.artefacts import Albedo, Blendshapes, Cameras, Capture, Clip, Neutral, Performance
-from avatarbuild.contacts import Head
 from avatarbuild.errors import InputError
 from avatarbuild.formats import video
 from avatarbuild.geometry.head_pose import head_pose
 from avatarbuild.geometry.mipmap import build_mipmap
-from avatarbuild.geometry.similarity import similarity
 from avatarbuild.landmarks import canonical_face
 from avatarbuild.options import TrackingOptions
 from avatarbuild.parallel import in_order
 from avatarbuild.progress import Progress
-from avatarbuild.rigging import keep
+from avatarbuild.rigging import in_template_s_frame, keep, limits_of
 from avatarbuild.sfm.metric import placed_photos
-from avatarbuild.template import ARKIT_NAMES, COMBINATION_LIMITS, Template
+from avatarbuild.template import ARKIT_NAMES, Template
 from avatarbuild.texture.photos import placed_in_head
 from avatarbuild.tracking import alternation, full_rate, gaze, samples
 from avatarbuild.tracking.alternation import Eyes, Skin, Tracked
-from avatarbuild.tracking.fit import Face, Weights, face_of
-from avatarbuild.tracking.frames import LEVELS, Frame, ScoreLevel, box_of, frame
+from avatarbuild.tracking.fit import Face, Weights, face_of, wearing
+from avatarbuild.tracking.frames import LEVELS, Frame, ScoreLevel, frame
 from avatarbuild.tracking.lens import Lens
-from avatarbuild.tracking.markers import markers
+from avatarbuild.tracking.markers import Markers, markers
 from avatarbuild.tracking.modelling import Freedom
 from avatarbuild.tracking.rig import Rig
 
@@ -77,7 +75,8 @@ def run(
     )
     points = markers(template, blendshapes.neutral, photos, capture.photos, capture.neutral)
     lens = Lens(clip.focal, 0.0, clip.size)
-    frames = processed_frames(clip)
+    level = clip_scores(clip)
+    frames = processed_frames(clip, level)
     face, skin = prepared(template, blendshapes, albedo, points, lens, frames)
     transferred = face.rig
     teaching = np.ones(len(frames), bool)
@@ -92,15 +91,13 @@ def run(
     evidence = np.zeros(len(ARKIT_NAMES))
     evidence[:SHAPES] = alternation.evidence(tracked, teaching, transferred)
     rig, contacts = kept(template, blendshapes, face.rig)
-    face = face_of(
-        replace(rig, deltas=rig.deltas[:SHAPES]), face.lens, face.markers, face.samples, face.skin, face.limits
-    )
+    face = wearing(face, replace(rig, deltas=rig.deltas[:SHAPES]))
     with progress.task("Every frame", len(clip.times)) as task:
         path = source / clip.file
         if not path.is_file():
             raise InputError(f"the video {path} is gone: put it back, or take it out of the capture and run again")
         whole = full_rate.follow(
-            face, skin, template, eyes, tracked, clip_scores(clip), video.decode_frames(path), weights, task.advance
+            face, skin, template, eyes, tracked, level, video.decode_frames(path), weights, task.advance
         )
     made = performance(template, clip, face.lens, rig, blendshapes.eye_centres, whole, frames, teaching, evidence)
     quality = np.array([one.quality for one in tracked])
@@ -148,24 +145,16 @@ def without(blendshapes: Blendshapes, warning: str) -> Performance:
     )
 
 
-def processed_frames(clip: Clip) -> list[Frame]:
+def processed_frames(clip: Clip, level: ScoreLevel) -> list[Frame]:
     """The frames that the capture kept, those without a face left out."""
     views = clip.frames
-    level = clip_scores(clip)
     seen = np.flatnonzero(np.isfinite(views.presence))
 
     def one(i: int) -> Frame:
         number = int(clip.processed[i])
-        marks, time = views.landmarks[i], float(clip.times[number])
-        return frame(
-            number,
-            time,
-            views.images[i].rgb(),
-            marks,
-            float(views.presence[i]),
-            level.of(views.scores[i, :SHAPES]),
-            box_of(marks),
-        )
+        scores = level.of(views.scores[i, :SHAPES])
+        rgb, presence = views.images[i].rgb(), float(views.presence[i])
+        return frame(number, float(clip.times[number]), rgb, views.landmarks[i], presence, scores)
 
     return list(in_order(one, [int(i) for i in seen]))
 
@@ -177,37 +166,33 @@ def clip_scores(clip: Clip) -> ScoreLevel:
 
 
 def prepared(
-    template: Template, blendshapes: Blendshapes, albedo: Albedo, points: object, lens: Lens, frames: list[Frame]
+    template: Template, blendshapes: Blendshapes, albedo: Albedo, points: Markers, lens: Lens, frames: list[Frame]
 ) -> tuple[Face, Skin]:
     """The face as it is tracked at first, with the transferred shapes, and its skin as it is drawn."""
     rig = Rig(blendshapes.neutral, blendshapes.deltas[:SHAPES].astype(np.float64), template.triangles)
     mean = canonical_face()
     scale = float(np.median([head_pose(mean.points, mean.rigidity, f.marks[: len(mean.points)]).scale for f in frames]))
+    grey = samples.grey_chart(albedo.albedo)
     levels = samples.levels_of_samples(
         template,
         blendshapes.neutral,
-        albedo.albedo,
+        grey,
         albedo.coverage,
         [(1 << level) / scale for level in range(LEVELS)],
         list(SAMPLES),
     )
     part = template.parts["skin"].triangles
-    limits = tuple((template.expression_index[a], template.expression_index[b]) for a, b in COMBINATION_LIMITS)
-    triangles = template.triangles[part]
-    grey = cv2.resize(samples.log_grey(albedo.albedo), (samples.CHART, samples.CHART), interpolation=cv2.INTER_AREA)
+    limits = tuple(limits_of(template).items())
     skin = Skin(
-        triangles,
         samples.flow_region(template)[part],
         (build_mipmap(grey[..., None]), template.uv, template.uv_triangles[part]),
     )
-    return face_of(rig, lens, points, levels, triangles, limits), skin  # type: ignore[arg-type]
+    return face_of(rig, lens, points, levels, template.triangles[part], limits), skin
 
 
 def kept(template: Template, blendshapes: Blendshapes, learnt: Rig) -> tuple[Rig, dict[str, float]]:
     """The learnt shapes, all 52, with lids, lips, teeth and jaw as they must be; and what is left of the contacts."""
-    face = template.regions["face"]
-    size, turn, shift = similarity(template.mean[face], learnt.neutral[face])
-    person = Head((learnt.neutral - shift) @ turn / size, (blendshapes.eye_centres - shift) @ turn / size)
+    person, size, turn = in_template_s_frame(template, learnt.neutral, blendshapes.eye_centres)
     deltas = blendshapes.deltas.astype(np.float64)
     deltas[:SHAPES] = learnt.deltas
     moved, figures = keep(template, person, deltas @ turn / size)
@@ -250,8 +235,7 @@ def performance(
         for name in template.eye_rotations:
             weights[row, template.expression_index[name]] = fixed[template.expression_index[name]]
     weights = np.clip(full_rate.smoothed(weights, quality, clip.fps), 0, 1)
-    for a, b in COMBINATION_LIMITS:
-        i, j = ARKIT_NAMES.index(a), ARKIT_NAMES.index(b)
+    for i, j in limits_of(template).items():
         weights[:, i] = np.minimum(weights[:, i], weights[:, j])
     pose = full_rate.smoothed(pose, quality, clip.fps)
     return Performance(

@@ -17,6 +17,7 @@ import numpy as np
 
 from avatarbuild.artefacts import Neutral
 from avatarbuild.energies import harmonics
+from avatarbuild.formats.colour import LUMINANCE
 from avatarbuild.geometry.meshes import vertex_areas, vertex_normals
 from avatarbuild.registration.eye_painting import WHITE
 from avatarbuild.solvers import smooth_field
@@ -312,7 +313,7 @@ def _light_by_whites(cards: list[Card], y: np.ndarray, r: np.ndarray, middle: np
         lit = occlusion.between_skin(card.open, r) * harmonics.shading(card.bent, y)
         best = lit[np.argsort(lit.sum(axis=1), kind="stable")[-_BEST:]].mean(axis=0)
         if (best > 0).all() and (card.colour > 0).all():
-            told.append(float(skin_tone.LUMINANCE @ np.log(card.colour * middle / (WHITE * best))))
+            told.append(float(LUMINANCE @ np.log(card.colour * middle / (WHITE * best))))
     return float(np.mean(told)) if told else None
 
 

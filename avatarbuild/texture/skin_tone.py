@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from avatarbuild.formats.colour import xyz_from_rgb
+from avatarbuild.formats.colour import LUMINANCE, xyz_from_rgb
 
 # CIELAB of facial skin of all origins, from dark to light: lightness, redness, yellowness (D65)
 _LIGHTNESS = (22.0, 35.0, 50.0, 62.0, 74.0)
 _REDNESS = (7.5, 10.5, 12.5, 11.5, 9.0)
 _YELLOWNESS = (9.0, 14.5, 18.0, 17.0, 14.0)
 _STEPS = 105
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 BRIGHTNESS_SD = 0.35  # of the log of the mean light on the face, whose mean is 0: the exposure
 TINT_SD = 0.10  # of the log ratios of the light's channels: what a phone's white balance leaves

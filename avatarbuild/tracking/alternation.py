@@ -39,9 +39,8 @@ _WORSE = 0.35  # quality below which a frame teaches nothing
 
 @dataclass(frozen=True)
 class Skin:
-    """What dense flow draws: the template's skin triangles (m, 3), those with a texture (m,) bool, and the texture."""
+    """What dense flow draws: those of the face's triangles that have a texture (m,) bool, and the texture."""
 
-    triangles: np.ndarray
     region: np.ndarray
     texture: tuple[Mipmap, np.ndarray, np.ndarray]
 
@@ -80,26 +79,32 @@ def first_state(frame: Frame, lens: Lens, a: int) -> State:
     return State(seen.rotation, t, np.clip(np.zeros(a), frame.low, frame.high))
 
 
-def begin(face: Face, frame: Frame, template: Template, eyes: Eyes, w: Weights) -> Tracked:
-    """A frame by the detector's points: pose, gaze, then weights with the eyes' own held."""
+def aim(face: Face, frame: Frame, eyes: Eyes, w: Weights) -> Tracked:
+    """A frame's pose and gaze by the detector's points, without an expression."""
     pinned = fit.detected(face, frame, w)
     start = first_state(frame, face.lens, len(face.rig.deltas))
     state = fit.fit_points(face, frame, pinned, start, w, rigid=4, steps=0)
     angles = gaze.gaze(gaze.irises(frame), eyes.centres, eyes.radius, face.lens, state.R, state.t)
-    looks = gaze.look_weights(template, angles - eyes.rest)[: len(frame.low)]
+    return Tracked(frame, state, pinned, 0.0, angles)
+
+
+def settle(face: Face, aimed: Tracked, template: Template, eyes: Eyes, w: Weights) -> Tracked:
+    """The frame with weights by the detector's points, the eyes' own held where they look from their rest."""
+    frame, angles = aimed.frame, aimed.gaze - eyes.rest
+    looks = gaze.look_weights(template, angles)[: len(frame.low)]
     fixed = gaze.turning(template, len(frame.low))
     frame = replace(frame, low=np.where(fixed, looks, 0.0), high=np.where(fixed, looks, frame.high))
-    state = fit.fit_points(face, frame, pinned, replace(state, weights=frame.low), w, rigid=0, steps=6)
-    return Tracked(frame, state, pinned, 0.0, angles - eyes.rest)
+    start = replace(aimed.state, weights=frame.low)
+    state = fit.fit_points(face, frame, aimed.pinned, start, w, rigid=0, steps=6)
+    return replace(aimed, frame=frame, state=state, gaze=angles)
 
 
-def looking_ahead(face: Face, frames: list[Frame], template: Template, eyes: Eyes, w: Weights) -> Eyes:
+def looking_ahead(aimed: list[Tracked], eyes: Eyes) -> Eyes:
     """
     The eyes with their rest: the median of the clip's gaze. The detector's irises lie off by degrees, in a way of each
     face's own, and who is filmed mostly looks ahead.
     """
-    angles = np.stack([one.gaze for one in in_order(lambda f: begin(face, f, template, eyes, w), frames)])
-    return replace(eyes, rest=eyes.rest + np.nan_to_num(np.nanmedian(angles, axis=0)))
+    return replace(eyes, rest=np.nan_to_num(np.nanmedian([one.gaze for one in aimed], axis=0)))
 
 
 def seek(
@@ -108,22 +113,22 @@ def seek(
     """The frame again: its points where the head, drawn as it was tracked, is found in it; then the texture."""
     frame, state = tracked.frame, tracked.state
     posed = face.rig.posed(state.weights)
-    found = dense.targets(frame, posed, skin.triangles, skin.region, skin.texture, face.lens, state.R, state.t, at)
-    pinned = fit.detected(face, frame, w) + fit.found(face, found, w)
+    found = dense.targets(frame, posed, face.skin, skin.region, skin.texture, face.lens, state.R, state.t, at)
+    marks = fit.detected(face, frame, w)
+    pinned = marks + fit.found(face, found, w)
     state = fit.fit_points(face, frame, pinned, state, w, rigid=0, steps=4)
     if levels:
         state = fit.fit(face, frame, pinned, state, w, levels, _STEPS)
-    return replace(tracked, state=state, pinned=pinned, quality=quality(face, frame, state, found))
+    worth = quality(face, frame, marks[0], state, found) if marks else 0.0
+    return replace(tracked, state=state, pinned=pinned, quality=worth)
 
 
-def quality(face: Face, frame: Frame, state: State, found: dense.Targets) -> float:
+def quality(face: Face, frame: Frame, marks: Pinned, state: State, found: dense.Targets) -> float:
     """
     presence * shown * near: how much of the skin that the drawn head turns to the camera dense flow found again (0.6
-    of it is full marks), and how near the detector's points lie (from 2 to 8 mm).
+    of it is full marks), and how near the detector's points, `marks`, lie (from 2 to 8 mm).
     """
-    if not np.isfinite(frame.presence):
-        return 0.0
-    r, _, _ = fit.detected(face, frame, Weights())[0].rows(face, state)
+    r, _, _ = marks.rows(face, state)
     off = float(np.median(np.hypot(r[0::2], r[1::2])))
     shown = min(1.0, found.share / 0.6)
     return float(frame.presence) * shown * float(np.clip((8 - off) / 6, 0, 1))
@@ -149,8 +154,9 @@ def alternate(
     """
     base = face.rig
     share = 1 / (rounds + 2)
-    eyes = looking_ahead(face, frames, template, eyes, w)
-    tracked = list(in_order(lambda f: begin(face, f, template, eyes, w), frames))
+    aimed = list(in_order(lambda f: aim(face, f, eyes, w), frames))
+    eyes = looking_ahead(aimed, eyes)
+    tracked = list(in_order(lambda one: settle(face, one, template, eyes, w), aimed))
     advance(share / 4)
     for _ in range(2):
         tracked = list(in_order(lambda one: seek(face, skin, one, w, ()), tracked))
@@ -170,7 +176,7 @@ def alternate(
         rig = learn(space, face, base, *shown, levels, w, freedom)
         rig, states = gauge(rig, base, [one.state for one in tracked])
         tracked = [replace(one, state=state) for one, state in zip(tracked, states, strict=True)]
-        face = fit.face_of(rig, face.lens, face.markers, face.samples, face.skin, face.limits)
+        face = fit.wearing(face, rig)
         tracked = list(in_order(lambda one: seek(face, skin, one, w, levels), tracked))  # noqa: B023
         now = _posed(face, tracked)
         moved = float(np.sqrt(((now - before) ** 2).sum(axis=-1).mean()))
@@ -199,8 +205,7 @@ def _lens(face: Face, tracked: list[Tracked]) -> tuple[Face, list[Tracked]]:
     for i, one in enumerate(tracked):
         state = moved.get(i, replace(one.state, t=one.state.t * np.array([1, 1, ratio])))
         tracked[i] = replace(one, state=state)
-    face = fit.face_of(face.rig, lens, face.markers, face.samples, face.skin, face.limits)
-    return face, tracked
+    return replace(face, lens=lens), tracked
 
 
 def _size(one: Tracked) -> float:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from avatarbuild.geometry.meshes import face_normals
 from avatarbuild.geometry.mipmap import Mipmap, sample_texture
 from avatarbuild.geometry.raster import rasterise
 from avatarbuild.tracking.frames import Frame
@@ -60,12 +61,8 @@ def targets(
     raster = rasterise(pixels, camera[:, 2], triangles, (w, h))
     mipmap, uv, uv_triangles = texture
     drawn = sample_texture(mipmap, raster, pixels, camera[:, 2], triangles, uv, uv_triangles)[..., 0]
-    a, b, c = (camera[triangles[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    middle = a + b + c
-    facing = -np.einsum("ij,ij->i", normal, middle) / (
-        np.linalg.norm(normal, axis=1) * np.linalg.norm(middle, axis=1) + 1e-12
-    )
+    middle = camera[triangles].mean(axis=1)
+    facing = -np.einsum("ij,ij->i", face_normals(camera, triangles), middle) / np.linalg.norm(middle, axis=1)
     on = np.append(region & (facing > _FACING), False)[raster.triangle]
     if on.sum() < 400:
         return Targets(Places(np.zeros(0, np.int64), np.zeros((0, 3))), np.zeros((0, 2)), 0.0)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from avatarbuild.energies import texture_flow
+from avatarbuild.geometry.rotations import rotation
 from avatarbuild.solvers.boxed import boxed, reduced
 from avatarbuild.tracking import dense
 from avatarbuild.tracking.frames import Frame
@@ -28,8 +29,8 @@ LEAST_ROWS = 20  # differences of the texture, fewer of which say nothing
 class Weights:
     """
     Of the energies, each normalised: squares of points in (sd mm)^2, robust from `reach` mm on; of flow in its own
-    robust spread, `flow` being the worth of a level's samples altogether, in points of 1 mm; `sparse` (l1), `ridge`,
-    `score` (the detector's opinion) and `temporal` (the frame before) are worths of a unit of a shape's weight.
+    robust spread, `flow` being the worth of a level's samples altogether, in points of 1 mm; `sparse` (l1), `ridge`
+    and `score` (the detector's opinion) are worths of a unit of a shape's weight.
     """
 
     marker_sd: float = 1.5
@@ -40,7 +41,6 @@ class Weights:
     sparse: float = 100.0
     ridge: float = 10.0
     score: float = 400.0
-    temporal: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -101,6 +101,11 @@ def face_of(
     size = np.linalg.norm(rig.deltas.reshape(len(rig.deltas), -1), axis=1)
     relative = np.minimum(size / max(float(np.median(size)), 1e-9), 1.0)
     return Face(rig, lens, markers, rig.rider(markers.places), samples, riders, skin, limits, relative)
+
+
+def wearing(face: Face, rig: Rig) -> Face:
+    """The face with another rig of the same topology."""
+    return face_of(rig, face.lens, face.markers, face.samples, face.skin, face.limits)
 
 
 def detected(face: Face, frame: Frame, w: Weights) -> list[Pinned]:
@@ -180,20 +185,15 @@ def system(
     return A, b
 
 
-def step(
-    A: np.ndarray, b: np.ndarray, state: State, frame: Frame, face: Face, w: Weights, before: np.ndarray | None
-) -> State:
-    """The state after one Gauss-Newton step with bounds, l1, ridge and the pull to the weights `before` (a,)."""
+def step(A: np.ndarray, b: np.ndarray, state: State, frame: Frame, face: Face, w: Weights) -> State:
+    """The state after one Gauss-Newton step with bounds, l1, ridge and the pull to the detector's opinion."""
     a = len(state.weights)
     A = A.copy()
     # written in the weights themselves, not in their change
     b = b + A[:, 6:] @ state.weights
     b[6:] -= w.sparse * face.shape_sizes
-    A[range(6, 6 + a), range(6, 6 + a)] += w.ridge + w.temporal
-    if before is not None:
-        b[6:] += w.temporal * before
     pull = np.where(np.isfinite(frame.scores), w.score, 0.0)
-    A[range(6, 6 + a), range(6, 6 + a)] += pull
+    A[range(6, 6 + a), range(6, 6 + a)] += w.ridge + pull
     b[6:] += pull * np.nan_to_num(frame.scores)
     A[range(6), range(6)] += 1e-9
     S, r, D, d = reduced(A, b, 6)
@@ -201,17 +201,7 @@ def step(
     for i, j in face.limits:
         found[i] = min(found[i], found[j])
     pose = d - D @ found
-    return State(turned(pose[:3]) @ state.R, state.t + pose[3:], found)
-
-
-def turned(turn: np.ndarray) -> np.ndarray:
-    """exp([turn]_x) by Rodrigues' formula."""
-    angle = float(np.linalg.norm(turn))
-    if angle < 1e-12:
-        return np.eye(3)
-    x, y, z = turn / angle
-    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
+    return State(rotation(pose[:3]) @ state.R, state.t + pose[3:], found)
 
 
 def fit_points(
@@ -223,9 +213,9 @@ def fit_points(
         A, b = system(face, frame, pinned, state, None, None, w)
         if i < rigid:
             still = np.linalg.solve(A[:6, :6] + 1e-9 * np.eye(6), b[:6])
-            state = replace(state, R=turned(still[:3]) @ state.R, t=state.t + still[3:])
+            state = replace(state, R=rotation(still[:3]) @ state.R, t=state.t + still[3:])
         else:
-            state = step(A, b, state, frame, face, w, None)
+            state = step(A, b, state, frame, face, w)
     return state
 
 
@@ -237,7 +227,6 @@ def fit(
     w: Weights,
     levels: tuple[int, ...],
     steps: int,
-    before: np.ndarray | None = None,
 ) -> State:
     """The state by points and flow, over the `levels` of the pyramid in that order."""
     state = start
@@ -245,5 +234,5 @@ def fit(
         seen = seen_samples(face, level, state)
         for _ in range(steps):
             A, b = system(face, frame, pinned, state, level, seen, w)
-            state = step(A, b, state, frame, face, w, before)
+            state = step(A, b, state, frame, face, w)
     return state

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from avatarbuild.tracking.markers import SKIN
 from avatarbuild.tracking.samples import log_grey
 
 LEVELS = 4  # of the pyramid, each half the size of the one before
@@ -52,14 +53,14 @@ def frame(
     marks: np.ndarray,
     presence: float,
     scores: np.ndarray,
-    box: np.ndarray,
 ) -> Frame:
-    """scores (a,); box (2, 2) pixels: low and high corner of the face. The weights' bounds are 0 and 1."""
+    """The frame cropped to the detector's points, marks (478, 3); scores (a,). The weights' bounds are 0 and 1."""
     h, w = rgb.shape[:2]
-    room = _ROOM * float((box[1] - box[0]).max())
+    first, last = marks[:SKIN, :2].min(axis=0), marks[:SKIN, :2].max(axis=0)
+    room = _ROOM * float((last - first).max())
     unit = 1 << (LEVELS - 1)
-    low = np.clip(np.floor((box[0] - room) / unit) * unit, 0, [max(w - 2 * unit, 0), max(h - 2 * unit, 0)]).astype(int)
-    high = np.clip(np.ceil((box[1] + room) / unit) * unit, low + 2 * unit, [w, h]).astype(int)
+    low = np.clip(np.floor((first - room) / unit) * unit, 0, [max(w - 2 * unit, 0), max(h - 2 * unit, 0)]).astype(int)
+    high = np.clip(np.ceil((last + room) / unit) * unit, low + 2 * unit, [w, h]).astype(int)
     grey = log_grey(np.ascontiguousarray(rgb[low[1] : high[1], low[0] : high[0]]))
     pyramid = []
     for level in range(LEVELS):
@@ -69,8 +70,3 @@ def frame(
         pyramid.append(cv2.GaussianBlur(grey, (0, 0), _BLUR))
     a = len(scores)
     return Frame(number, time, marks, presence, scores, np.zeros(a), np.ones(a), low.astype(np.float64), pyramid)
-
-
-def box_of(marks: np.ndarray) -> np.ndarray:
-    """(2, 2) low and high corner of the detector's points (478, 2 or more)."""
-    return np.stack([marks[:468, :2].min(axis=0), marks[:468, :2].max(axis=0)])

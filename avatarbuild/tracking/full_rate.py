@@ -11,9 +11,9 @@ import scipy.linalg
 from avatarbuild.landmarks import region_about, trace
 from avatarbuild.parallel import in_order
 from avatarbuild.template import Template
-from avatarbuild.tracking.alternation import Eyes, Skin, Tracked, begin, seek
+from avatarbuild.tracking.alternation import Eyes, Skin, Tracked, aim, seek, settle
 from avatarbuild.tracking.fit import Face, State, Weights
-from avatarbuild.tracking.frames import Frame, ScoreLevel, box_of, frame
+from avatarbuild.tracking.frames import Frame, ScoreLevel, frame
 
 DENSE_LEVEL = 2  # of the pyramid for dense flow: a quarter of the work, and the shapes are known by now
 FLOW_LEVEL = 1  # for equation (6)
@@ -51,8 +51,9 @@ def follow(
         seen = trace(rgb, region_about(marks), careful=False)
         if seen.presence < LEAST_PRESENCE:
             return _lost(number, time, a)
-        here = frame(number, time, rgb, seen.points, seen.presence, level.of(seen.scores[:a]), box_of(seen.points))
-        return seek(face, skin, begin(face, here, template, eyes, w), w, (FLOW_LEVEL,), DENSE_LEVEL)
+        here = frame(number, time, rgb, seen.points, seen.presence, level.of(seen.scores[:a]))
+        begun = settle(face, aim(face, here, eyes, w), template, eyes, w)
+        return seek(face, skin, begun, w, (FLOW_LEVEL,), DENSE_LEVEL)
 
     out = []
     for one in in_order(look, decoded):

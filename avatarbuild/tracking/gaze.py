@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from avatarbuild.geometry.iris import iris_circle
+from avatarbuild.landmarks import IRIS_LEFT, IRIS_RIGHT
 from avatarbuild.template import ARKIT_NAMES, Template
 from avatarbuild.tracking.frames import Frame
 from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.samples import DARK
 
-_IRISES = (473, 468)  # the detector's middle of the left and of the right iris
+_IRISES = (IRIS_LEFT.start, IRIS_RIGHT.start)  # the detector's middle of the left and of the right iris
 _IRIS_DEPTH = 10.4 / 12  # of the eyeball's radius: from its centre to the plane of the iris
 _SIDES = ("Left", "Right")
 _LEAST_RADIUS = 5.0  # pixels

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from avatarbuild.tracking.fit import Face, Pinned, State, turned
+from avatarbuild.geometry.rotations import rotation
+from avatarbuild.tracking.fit import Face, Pinned, State
 from avatarbuild.tracking.lens import Lens
 
 _FOCAL_SD = 0.05  # of the logarithm: what the metadata, or the photos' lens and the usual crop, leave open
@@ -53,6 +54,6 @@ def refined(face: Face, states: list[State], pinned: list[list[Pinned]], weight:
         moved = []
         for state, (inverse, C, g) in zip(states, kept, strict=True):
             pose = inverse @ (g - C @ change)
-            moved.append(State(turned(pose[:3]) @ state.R, state.t + pose[3:], state.weights))
+            moved.append(State(rotation(pose[:3]) @ state.R, state.t + pose[3:], state.weights))
         states = moved
     return lens, states

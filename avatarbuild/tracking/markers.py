@@ -7,24 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from avatarbuild.artefacts import Views
+from avatarbuild.landmarks import IRIS_RIGHT
+from avatarbuild.registration.pins import LID_RIMS, LIP_BORDERS, SEAM
 from avatarbuild.template import Template
 from avatarbuild.texture.photos import Photo
 from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.rig import Places, Rider
 
-SKIN = 468  # the points after these lie on the irises
+SKIN = IRIS_RIGHT.start  # the points from here on lie on the irises
 _FRONTAL = 30.0  # degrees of yaw up to which a photo tells where the detector sees its points
 _LEAST = 3  # photos
 
-# MediaPipe's mesh: rims of the lids and the lips, whose points move most and count most
-LIPS = (
-    *(61, 146, 91, 181, 84, 17, 314, 405, 321, 375, 291, 185, 40, 39, 37, 0, 267, 269, 270, 409),
-    *(78, 95, 88, 178, 87, 14, 317, 402, 318, 324, 308, 191, 80, 81, 82, 13, 312, 311, 310, 415),
-)
-LIDS = (
-    *(33, 7, 163, 144, 145, 153, 154, 155, 133, 173, 157, 158, 159, 160, 161, 246),
-    *(263, 249, 390, 373, 374, 380, 381, 382, 362, 398, 384, 385, 386, 387, 388, 466),
-)
+# rims of the lids and the lips, whose points move most and count most
+_RIMS = sorted({point for chains in (LID_RIMS, LIP_BORDERS, SEAM) for chain in chains.values() for point in chain})
+_RIM_WEIGHT = 3.0
 
 
 @dataclass(frozen=True)
@@ -63,7 +59,7 @@ def markers(template: Template, neutral: np.ndarray, photos: list[Photo], views:
             missing.append(np.c_[flat, np.zeros(SKIN)] @ p.R)
         offset = np.median(missing, axis=0)
     weight = np.ones(SKIN)
-    weight[[*LIPS, *LIDS]] = 3.0
+    weight[_RIMS] = _RIM_WEIGHT
     return Markers(places, offset, weight, template.landmark_sliding[:SKIN])
 
 

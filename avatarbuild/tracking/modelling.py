@@ -30,6 +30,7 @@ from avatarbuild.tracking import fit
 from avatarbuild.tracking.fit import Face, Pinned, State, Weights
 from avatarbuild.tracking.frames import Frame
 from avatarbuild.tracking.rig import Places, Rig
+from avatarbuild.tracking.samples import face_skin
 
 
 @dataclass(frozen=True)
@@ -57,10 +58,7 @@ class Space:
 
     def __init__(self, template: Template, rig: Rig, axis: np.ndarray, freedom: Freedom) -> None:
         skin = template.parts["skin"]
-        r = template.regions
-        free = (r["face"] | r["nose"] | r["lips"] | r["lids"]) & ~(r["mouth"] | r["sockets"] | r["ears"])
-        free[skin.vertices.stop :] = False
-        self.free = np.flatnonzero(free)
+        self.free = np.flatnonzero(face_skin(template))
         count = skin.vertices.stop
         triangles = template.triangles[skin.triangles].astype(np.int64)
         rest = rig.neutral[:count]

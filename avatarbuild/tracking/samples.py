@@ -7,16 +7,16 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from avatarbuild.formats.colour import linear_from_srgb
+from avatarbuild.formats.colour import LUMINANCE
 from avatarbuild.geometry.raster import rasterise
 from avatarbuild.template import Template
 from avatarbuild.texture.chart import Chart, draw_chart, texels_per_mm
+from avatarbuild.texture.photos import linear_picture
 from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.rig import Places
 
 CHART = 2048  # texels: 5 to 6 a millimetre on the face
 DARK = 0.02  # linear light, added before the logarithm: below it noise rules
-_LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)
 _FACING = 0.3  # cosine between normal and ray from which a texel counts as visible
 _COVER = 3.0  # mm: a point this far behind the nearest surface is hidden
 _DRAWN = 4  # the depth of the head is drawn at a quarter of the picture's size
@@ -38,29 +38,37 @@ class Samples:
 
 def log_grey(rgb: np.ndarray) -> np.ndarray:
     """(h, w) float32 log(Y + DARK), Y the linear luminance of uint8 sRGB."""
-    table = linear_from_srgb(np.arange(256) / 255.0).astype(np.float32)
-    return np.log(table[rgb] @ _LUMA + np.float32(DARK))
+    return np.log(linear_picture(rgb) @ LUMINANCE.astype(np.float32) + np.float32(DARK))
+
+
+def face_skin(template: Template) -> np.ndarray:
+    """(n,) bool vertices of the face's outer skin: without sockets, mouth and ears."""
+    r = template.regions
+    skin = (r["face"] | r["nose"] | r["lips"] | r["lids"]) & ~(r["mouth"] | r["sockets"] | r["ears"])
+    skin[template.parts["skin"].vertices.stop :] = False
+    return skin
 
 
 def flow_region(template: Template) -> np.ndarray:
-    """(m,) bool triangles whose skin the photos and the video see alike: the face without hair, sockets and mouth."""
-    r = template.regions
-    use = (r["face"] | r["nose"] | r["lips"] | r["lids"]) & ~(r["mouth"] | r["sockets"] | r["ears"] | r["scalp"])
-    use[template.parts["skin"].vertices.stop :] = False
-    return use[template.triangles].all(axis=1)
+    """(m,) bool triangles whose skin the photos and the video see alike: the face's, without hair."""
+    return (face_skin(template) & ~template.regions["scalp"])[template.triangles].all(axis=1)
+
+
+def grey_chart(albedo: np.ndarray) -> np.ndarray:
+    """(CHART, CHART) float32 the logarithm of grey of an albedo (s, s, 3) uint8."""
+    return cv2.resize(log_grey(albedo), (CHART, CHART), interpolation=cv2.INTER_AREA)
 
 
 def levels_of_samples(
-    template: Template, neutral: np.ndarray, albedo: np.ndarray, seen: np.ndarray, pixel: list[float], count: list[int]
+    template: Template, neutral: np.ndarray, grey: np.ndarray, seen: np.ndarray, pixel: list[float], count: list[int]
 ) -> list[Samples]:
     """
     For each level of the pyramid its samples.
 
-    neutral (n, 3); albedo (s, s, 3) and seen (s, s) uint8 of stage albedo; pixel: mm of a pixel on the face at each
-    level; count: about how many samples each. Texels that no photo saw are no evidence.
+    neutral (n, 3); grey of `grey_chart`; seen (s, s) uint8, stage albedo's coverage; pixel: mm of a pixel on the face
+    at each level; count: about how many samples each. Texels that no photo saw are no evidence.
     """
     chart = draw_chart(template, template.uv, template.uv_triangles, CHART)
-    grey = cv2.resize(log_grey(albedo), (CHART, CHART), interpolation=cv2.INTER_AREA)
     known = cv2.resize(seen, (CHART, CHART), interpolation=cv2.INTER_AREA) > 0
     region = np.append(flow_region(template), False)[chart.triangle] & known
     density = texels_per_mm(template, neutral, CHART)
