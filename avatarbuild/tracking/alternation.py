@@ -18,7 +18,7 @@ import numpy as np
 from avatarbuild.geometry.head_pose import head_pose
 from avatarbuild.geometry.mipmap import Mipmap
 from avatarbuild.landmarks import canonical_face
-from avatarbuild.parallel import in_order
+from avatarbuild.parallel import each_alone
 from avatarbuild.template import Template
 from avatarbuild.tracking import dense, fit, gaze, lens_fit
 from avatarbuild.tracking.fit import Face, Pinned, State, Weights
@@ -154,12 +154,12 @@ def alternate(
     """
     base = face.rig
     share = 1 / (rounds + 2)
-    aimed = list(in_order(lambda f: aim(face, f, eyes, w), frames))
+    aimed = list(each_alone(lambda f: aim(face, f, eyes, w), frames))
     eyes = looking_ahead(aimed, eyes)
-    tracked = list(in_order(lambda one: settle(face, one, template, eyes, w), aimed))
+    tracked = list(each_alone(lambda one: settle(face, one, template, eyes, w), aimed))
     advance(share / 4)
     for _ in range(2):
-        tracked = list(in_order(lambda one: seek(face, skin, one, w, ()), tracked))
+        tracked = list(each_alone(lambda one: seek(face, skin, one, w, ()), tracked))
         advance(share * 3 / 8)
     face, tracked = _lens(face, tracked)
     history: list[dict[str, float]] = []
@@ -177,7 +177,7 @@ def alternate(
         rig, states = gauge(rig, base, [one.state for one in tracked])
         tracked = [replace(one, state=state) for one, state in zip(tracked, states, strict=True)]
         face = fit.wearing(face, rig)
-        tracked = list(in_order(lambda one: seek(face, skin, one, w, levels), tracked))  # noqa: B023
+        tracked = list(each_alone(lambda one: seek(face, skin, one, w, levels), tracked))  # noqa: B023
         now = _posed(face, tracked)
         moved = float(np.sqrt(((now - before) ** 2).sum(axis=-1).mean()))
         before = now

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg
 
 from avatarbuild.landmarks import region_about, trace
-from avatarbuild.parallel import in_order
+from avatarbuild.parallel import each_alone
 from avatarbuild.template import Template
 from avatarbuild.tracking.alternation import Eyes, Skin, Tracked, aim, seek, settle
 from avatarbuild.tracking.fit import Face, State, Weights
@@ -56,7 +56,7 @@ def follow(
         return seek(face, skin, begun, w, (FLOW_LEVEL,), DENSE_LEVEL)
 
     out = []
-    for one in in_order(look, decoded):
+    for one in each_alone(look, decoded):
         advance(1)
         out.append(replace(one, pinned=[], frame=replace(one.frame, pyramid=[])))
     return out
