@@ -67,6 +67,14 @@ def focal_in_pixels(equivalent: float, size: tuple[int, int]) -> float:
     return equivalent / _FILM_DIAGONAL * float(np.hypot(*size))
 
 
+def video_focal(source: video.VideoFile, photos: Views, assumed: bool) -> float:
+    """Pixels: what the video's header tells, else the photos' lens and the usual crop; `assumed`: theirs is a guess."""
+    if np.isfinite(source.focal):
+        return source.focal
+    equivalent = np.median(photos.focal / np.hypot(*photos.size.T)) * np.hypot(*source.size)
+    return VIDEO_CROP * (focal_in_pixels(MAIN_LENS, source.size) if assumed else float(equivalent))
+
+
 def read_photos(
     folder: CaptureFolder, max_pixels: float, presence: float, jpeg_quality: int | None, task: Task
 ) -> tuple[list[Shot], list[tuple[Path, str]]]:
@@ -176,17 +184,23 @@ def choose_video(
     sound.sort(key=lambda v: (-v.duration, natural(v.path)))
     doubtful: list[video.VideoFile] = []
     for v in sound:
-        looks = [look(rgb, presence, careful=False) for _, _, rgb in video.decode_frames(v.path, _tried(v))]
-        sure = sum(bool(item.faces) and item.faces[0].face.presence >= presence for item in looks)
-        if 2 * sure < max(len(looks), 1):
-            warnings.append(f"the video {v.path.name} shows a face in {sure} of {len(looks)} frames; it is not used")
+        sure, tried, another = glance(v, presence, known)
+        if 2 * sure < max(tried, 1):
+            warnings.append(f"the video {v.path.name} shows a face in {sure} of {tried} frames; it is not used")
             continue
-        unlike = [value for item in looks if np.isfinite(value := faces.least_unlikeness(item, known, presence))]
-        if not unlike or np.median(unlike) <= faces.ANOTHER:
+        if not another:
             more = [f"the video {d.path.name} seems to show another person; it is not used" for d in doubtful]
             return v, warnings + more
         doubtful.append(v)
     return (doubtful[0] if doubtful else None), warnings
+
+
+def glance(v: video.VideoFile, presence: float, known: Identity | None) -> tuple[int, int, bool]:
+    """How many of a few frames all over a video show a face, how many there are, and whether it seems another's."""
+    looks = [look(rgb, presence, careful=False) for _, _, rgb in video.decode_frames(v.path, _tried(v))]
+    sure = sum(bool(item.faces) and item.faces[0].face.presence >= presence for item in looks)
+    unlike = [value for item in looks if np.isfinite(value := faces.least_unlikeness(item, known, presence))]
+    return sure, len(looks), bool(unlike) and float(np.median(unlike)) > faces.ANOTHER
 
 
 def _tried(v: video.VideoFile) -> list[int]:

@@ -3,32 +3,24 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from avatarbuild import judgement
 from avatarbuild.artefacts import Capture, Clip
 from avatarbuild.capture_folder import CaptureFolder, open_capture
 from avatarbuild.errors import InputError
-from avatarbuild.faces import Look, look
-from avatarbuild.formats import images, video
+from avatarbuild.footage import read_clip
 from avatarbuild.options import CaptureOptions
-from avatarbuild.parallel import in_order
-from avatarbuild.progress import Progress, Task
+from avatarbuild.progress import Progress
 from avatarbuild.survey import (
-    FURTHER,
-    MAIN_LENS,
-    VIDEO_CROP,
     Survey,
     choose_video,
-    focal_in_pixels,
     read_photos,
-    survey_frames,
     survey_photos,
+    video_focal,
 )
 
 log = logging.getLogger(__name__)
@@ -96,71 +88,10 @@ def _clip(
         return None, None, warnings  # the lack itself is judged with the rest
     if len(folder.videos) > 1:
         warnings.append(f"the video used is {chosen.path.name}, the longest with a face; capture.toml can name another")
-    times = video.frame_times(chosen.path)
-    focal = chosen.focal
-    if not np.isfinite(focal):
-        equivalent = np.median(photos.views.focal / np.hypot(*photos.views.size.T)) * np.hypot(*chosen.size)
-        focal = VIDEO_CROP * (focal_in_pixels(MAIN_LENS, chosen.size) if photos.assumed.all() else float(equivalent))
-    with progress.task("video", len(times)) as task:
-        indices, looks, copies = _frames(chosen, times, options, task)
+    focal = video_focal(chosen, photos.views, bool(photos.assumed.all()))
     file = chosen.path.relative_to(folder.root)
-    frames = survey_frames(file, indices, times[indices], looks, copies, photos.identity, focal, options.presence)
-    clip = Clip(file.as_posix(), chosen.size, chosen.fps, times, focal, np.array(indices), frames.views)
+    clip, frames = read_clip(chosen, file, focal, photos.identity, options, progress, copies=True)
     return clip, frames, warnings
-
-
-def _frames(
-    chosen: video.VideoFile, times: np.ndarray, options: CaptureOptions, task: Task
-) -> tuple[list[int], list[Look], list[bytes]]:
-    """The sharpest frame of each 1 / frame_rate seconds: its number, a look at it, its JPEG."""
-
-    def pick(item: tuple[int, list[tuple[int, np.ndarray]]]) -> tuple[int, Look, bytes]:
-        number, window = item
-        index, rgb = _sharpest(window, options.presence)
-        seen = look(rgb, options.presence, further=number % FURTHER == 0)
-        return index, seen, images.encode_jpeg(rgb, options.jpeg_quality)
-
-    indices, looks, copies = [], [], []
-    windows = enumerate(_windows(chosen.path, times, options.frame_rate, task))
-    for index, seen, copy in in_order(pick, windows, ahead=1):
-        indices.append(index)
-        looks.append(seen)
-        copies.append(copy)
-    return indices, looks, copies
-
-
-def _windows(path: Path, times: np.ndarray, rate: float, task: Task) -> Iterator[list[tuple[int, np.ndarray]]]:
-    """The decoded frames (number, rgb) of each 1 / rate seconds that has any."""
-    slot = np.floor(times * rate + 1e-6).astype(int)
-    window: list[tuple[int, np.ndarray]] = []
-    for index, _, rgb in video.decode_frames(path):
-        task.advance()
-        if window and slot[index] != slot[window[0][0]]:
-            yield window
-            window = []
-        window.append((index, rgb))
-    if window:
-        yield window
-
-
-def _sharpest(window: list[tuple[int, np.ndarray]], presence: float) -> tuple[int, np.ndarray]:
-    """The frame whose face, where it is in the middle frame, has the most energy in its Laplacian."""
-    if len(window) == 1:
-        return window[0]
-    middle = window[len(window) // 2][1]
-    seen = look(middle, presence, careful=False).faces
-    part = np.s_[:, :]
-    if seen:
-        points = seen[0].face.points[:468, :2]
-        low, high = np.maximum(points.min(0), 0).astype(int), points.max(0).astype(int)
-        if ((high - low) > 16).all():
-            part = np.s_[low[1] : high[1], low[0] : high[0]]
-
-    def energy(rgb: np.ndarray) -> float:
-        grey = cv2.GaussianBlur(cv2.cvtColor(rgb[part], cv2.COLOR_RGB2GRAY), (0, 0), 1.0)
-        return float(cv2.Laplacian(grey, cv2.CV_32F).var())
-
-    return max(window, key=lambda item: (energy(item[1]), -item[0]))
 
 
 def _frontal(folder: CaptureFolder, photos: Survey, trusted: np.ndarray) -> int:
