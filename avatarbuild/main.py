@@ -8,7 +8,7 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -197,18 +197,8 @@ def _line_json(line: pipeline.StageState) -> dict[str, Any]:
 @app.command()
 def status(project_folder: ProjectPath, as_json: Json = False) -> None:
     """A table of the stages: fresh, stale or missing, seconds, figures."""
-    from avatarbuild.capture_folder import open_capture
-
     project = _existing(project_folder)
-    kept = project.settings()
-    chosen = all_options.stage_options(kept.get("quality", "standard"), kept.get("options", {}))
-    digest = template = ""
-    with _warned():
-        template = project.template().digest
-    with _warned():
-        found = open_capture(project.root / kept.get("capture", ""))
-        digest = digest_files(found.root, [found.root / name for name in found.files])
-    lines = pipeline.states(project, pipeline.keys(digest, template, chosen))
+    lines = _states(project)
     if as_json:
         answer = {"version": JSON_VERSION, "project": str(project.root), "stages": [_line_json(line) for line in lines]}
         typer.echo(json.dumps(answer, indent=1, ensure_ascii=False))
@@ -220,12 +210,94 @@ def status(project_folder: ProjectPath, as_json: Json = False) -> None:
     rich.console.Console().print(table)
 
 
+def _states(project: Project, alone: bool = False) -> list[pipeline.StageState]:
+    """
+    The state of every stage; stale, with a warning, where the capture or the head template is gone. `alone`: a project
+    whose capture is gone is as fresh as when it was last seen with it.
+    """
+    from avatarbuild.capture_folder import open_capture
+
+    capture = project.root / project.settings().get("capture", "")
+    digest = template = ""
+    with _warned():
+        template = project.template().digest
+    stamp = project.stamp("capture") or {}
+    known = stamp.get("key", "") if alone and not capture.exists() else ""
+    if not known:
+        with _warned():
+            found = open_capture(capture)
+            digest = digest_files(found.root, [found.root / name for name in found.files])
+    return pipeline.states(project, pipeline.keys(digest, template, _chosen(project), known))
+
+
+def _chosen(project: Project) -> dict[str, Any]:
+    """The options of every stage that a project keeps."""
+    kept = project.settings()
+    return all_options.stage_options(kept.get("quality", "standard"), kept.get("options", {}))
+
+
 @contextlib.contextmanager
 def _warned() -> Iterator[None]:
     try:
         yield
     except InputError as error:
         screen.print(f"[yellow]warning[/] {rich.markup.escape(str(error))}")
+
+
+@app.command()
+def track(
+    project_folder: ProjectPath,
+    video: Annotated[Path, typer.Argument(metavar="VIDEO", help="New footage of the same person.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="The file to write: .csv or .json.")],
+    as_json: Json = False,
+) -> None:
+    """The performance in new footage on a built avatar, as track.csv or track.json."""
+    from avatarbuild import new_footage
+    from avatarbuild.formats.track import track_bytes
+
+    writer = track_bytes(output)
+    project = _existing(project_folder)
+    needed = ("capture", "cameras", "neutral", "albedo", "blendshapes", "tracking")
+    stale = [line for line in _states(project, alone=True) if line.name in needed and line.state != "fresh"]
+    if stale:
+        found = ", ".join(f"stage {line.name} is {line.state}" for line in stale)
+        raise InputError(f"{project.root}: {found}: bring the avatar up to date with `avatarbuild run` first")
+    template = project.template().load()
+    inputs = {name: pipeline.load_artefact(project, name) for name in needed}
+    with _written_whole(output) as write:
+        chosen = _chosen(project)["capture"]
+        made = new_footage.track(**inputs, options=chosen, progress=Bars(), template=template, path=video)
+        write(writer(made))
+    if as_json:
+        answer = {"version": JSON_VERSION, "track": str(output), "figures": made.figures, "warnings": made.warnings}
+        typer.echo(json.dumps(answer, indent=1, ensure_ascii=False))
+        return
+    for warning in made.warnings:
+        screen.print(f"[yellow]warning[/] {rich.markup.escape(warning)}")
+    frames, good = made.figures["frames"], made.figures["good"]
+    screen.print(f"{output}: {frames} frames, {good} of them tracked well", soft_wrap=True)
+
+
+@contextlib.contextmanager
+def _written_whole(path: Path) -> Iterator[Callable[[bytes], None]]:
+    """A file that is written at one stroke at the end; that it can be written is known at the beginning."""
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        partial.touch()
+    except OSError as error:
+        raise InputError(f"{path} cannot be written ({error.strerror}): name another file with -o") from None
+
+    def write(data: bytes) -> None:
+        try:
+            partial.write_bytes(data)
+            partial.replace(path)
+        except OSError as error:
+            raise InputError(f"{path} cannot be written ({error.strerror}): name another file with -o") from None
+
+    try:
+        yield write
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 @app.command()

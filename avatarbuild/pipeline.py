@@ -135,10 +135,11 @@ def plan(first: str | None, until: str | None, only: str | None, force: bool) ->
     return Plan(selected, forced, False)
 
 
-def keys(capture_digest: str, template_digest: str, chosen: dict[str, Any]) -> dict[str, str]:
+def keys(capture_digest: str, template_digest: str, chosen: dict[str, Any], capture_key: str = "") -> dict[str, str]:
     """
     What each stage's artefact is made of, as a hash: the stage's version, its options, the keys of the stages that it
-    needs, for the capture the bytes of its files, and for the stages that use the head template its bytes.
+    needs, for the capture the bytes of its files, and for the stages that use the head template its bytes. Where the
+    capture is gone, `capture_key` stands for stage capture's.
     """
     made: dict[str, str] = {}
     for stage in STAGES:
@@ -151,6 +152,8 @@ def keys(capture_digest: str, template_digest: str, chosen: dict[str, Any]) -> d
         if stage.name in HEAD_STAGES:
             recipe["template"] = template_digest
         made[stage.name] = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
+        if not stage.needs and capture_key:
+            made[stage.name] = capture_key
     return made
 
 
@@ -194,13 +197,7 @@ def run(
 
     def load(name: str) -> Any:
         if name not in loaded:
-            stage = STAGES[NAMES.index(name)]
-            made = stage.makes.load(project.folder(name))  # type: ignore[attr-defined]
-            stamp = project.stamp(name) or {}
-            known = {"figures": stamp.get("figures", {}), "warnings": stamp.get("warnings", [])}
-            if name == "capture":
-                known["digest"] = capture_digest
-            loaded[name] = dataclasses.replace(made, **known)
+            loaded[name] = load_artefact(project, name, capture_digest)
         return loaded[name]
 
     for stage in STAGES:
@@ -231,6 +228,16 @@ def run(
             "no face was found in enough photos: the run ends after stage points, and cameras and points are in "
             "COLMAP's own scale; for an avatar, photograph a face (see `avatarbuild check`)"
         )
+
+
+def load_artefact(project: Project, name: str, capture_digest: str = "") -> Any:
+    """What a stage made, with the figures and warnings of its stamp."""
+    made = STAGES[NAMES.index(name)].makes.load(project.folder(name))  # type: ignore[attr-defined]
+    stamp = project.stamp(name) or {}
+    known = {"figures": stamp.get("figures", {}), "warnings": stamp.get("warnings", [])}
+    if name == "capture":
+        known["digest"] = capture_digest
+    return dataclasses.replace(made, **known)
 
 
 def _run_stage(

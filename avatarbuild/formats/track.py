@@ -9,12 +9,14 @@ from __future__ import annotations
 import csv
 import io
 import json
-from pathlib import PurePosixPath
+from collections.abc import Callable
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
 from avatarbuild.artefacts import Performance
+from avatarbuild.errors import InputError
 from avatarbuild.geometry.head_pose import head_angles
 from avatarbuild.template import ARKIT_NAMES
 
@@ -65,6 +67,14 @@ def track_json(performance: Performance) -> bytes:
         for i in range(len(times))
     ]
     return (_line(about)[:-1] + ', "frames": [\n' + ",\n".join(lines) + "\n]}\n").encode()
+
+
+def track_bytes(path: Path) -> Callable[[Performance], bytes]:
+    """What writes a performance in the format that a file's ending names. Raises InputError for other endings."""
+    writers = {".json": track_json, ".csv": track_csv}
+    if path.suffix.lower() not in writers:
+        raise InputError(f"{path}: the ending must be .csv (Live Link Face) or .json (with the head's place)")
+    return writers[path.suffix.lower()]
 
 
 def track_csv(performance: Performance) -> bytes:

@@ -134,6 +134,19 @@ def quality(face: Face, frame: Frame, marks: Pinned, state: State, found: dense.
     return float(frame.presence) * shown * float(np.clip((8 - off) / 6, 0, 1))
 
 
+def begin(
+    template: Template, face: Face, skin: Skin, frames: list[Frame], eyes: Eyes, w: Weights
+) -> tuple[Face, Eyes, list[Tracked]]:
+    """Frames of a clip tracked by points, the face with the clip's own lens, the eyes with their usual gaze."""
+    aimed = list(each_alone(lambda f: aim(face, f, eyes, w), frames))
+    eyes = looking_ahead(aimed, eyes)
+    tracked = list(each_alone(lambda one: settle(face, one, template, eyes, w), aimed))
+    for _ in range(2):
+        tracked = list(each_alone(lambda one: seek(face, skin, one, w, ()), tracked))
+    face, tracked = _lens(face, tracked)
+    return face, eyes, tracked
+
+
 def alternate(
     template: Template,
     face: Face,
@@ -154,14 +167,8 @@ def alternate(
     """
     base = face.rig
     share = 1 / (rounds + 2)
-    aimed = list(each_alone(lambda f: aim(face, f, eyes, w), frames))
-    eyes = looking_ahead(aimed, eyes)
-    tracked = list(each_alone(lambda one: settle(face, one, template, eyes, w), aimed))
-    advance(share / 4)
-    for _ in range(2):
-        tracked = list(each_alone(lambda one: seek(face, skin, one, w, ()), tracked))
-        advance(share * 3 / 8)
-    face, tracked = _lens(face, tracked)
+    face, eyes, tracked = begin(template, face, skin, frames, eyes, w)
+    advance(share)
     history: list[dict[str, float]] = []
     good = _teachers(tracked, teaching)
     if not good:

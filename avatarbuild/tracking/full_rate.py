@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
@@ -15,10 +15,40 @@ from avatarbuild.tracking.alternation import Eyes, Skin, Tracked, aim, seek, set
 from avatarbuild.tracking.fit import Face, State, Weights
 from avatarbuild.tracking.frames import Frame, ScoreLevel, frame
 
-DENSE_LEVEL = 2  # of the pyramid for dense flow: a quarter of the work, and the shapes are known by now
-FLOW_LEVEL = 1  # for equation (6)
+# pixels of the face's crop, whatever the video's size; the shapes are known by now
+DENSE_SIDE = 144.0  # for dense flow
+FLOW_SIDE = 288.0  # for equation (6)
 CUT_OFF = 7.0  # Hz: motion that is faster than a blink's lids is noise
 LEAST_PRESENCE = 0.5
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Frames that the detector has seen the face in: their numbers (j,), rising, and its points (j, 478, 3)."""
+
+    numbers: np.ndarray
+    marks: np.ndarray
+
+    @staticmethod
+    def of(frames: list[Frame]) -> Sightings:
+        return Sightings(np.array([one.number for one in frames], int), np.array([one.marks for one in frames]))
+
+    def expected(self, number: int) -> np.ndarray:
+        """(478, 3) where the detector should find its points in a frame, between the sightings on both sides."""
+        i = int(np.searchsorted(self.numbers, number))
+        before, after = max(i - 1, 0), min(i, len(self.numbers) - 1)
+        share = (number - self.numbers[before]) / max(self.numbers[after] - self.numbers[before], 1)
+        return self.marks[before] + np.clip(share, 0, 1) * (self.marks[after] - self.marks[before])
+
+
+@dataclass(frozen=True)
+class Found:
+    """A decoded frame's number, its state, its quality in 0..1 (0: lost) and its gaze (2, 2) radians, NaN unknown."""
+
+    number: int
+    state: State
+    quality: float
+    gaze: np.ndarray
 
 
 def follow(
@@ -26,56 +56,45 @@ def follow(
     skin: Skin,
     template: Template,
     eyes: Eyes,
+    sightings: Sightings,
     processed: list[Tracked],
     level: ScoreLevel,
     decoded: Iterator[tuple[int, float, np.ndarray]],
     w: Weights,
     advance: Callable[[float], None],
-) -> list[Tracked]:
+) -> list[Found]:
     """
-    All decoded frames (number, time, rgb) in order, without their pyramids. A processed one stays as it is; each of the
-    others stands alone: the detector looks in the square where the processed neighbours' face lies, dense flow and
-    equation (6) do the rest.
+    All decoded frames (number, time, rgb) in order, but the lost ones. A processed one stays as it is; each of the
+    others stands alone: the detector looks in the square where the face should be by the sightings before and after,
+    dense flow and equation (6) do the rest.
     """
     known = {one.frame.number: one for one in processed if one.quality > 0}
-    numbers = np.array(sorted(known))
-    a = len(face.rig.deltas)
 
-    def look(item: tuple[int, float, np.ndarray]) -> Tracked:
+    def look(item: tuple[int, float, np.ndarray]) -> Found | None:
         number, time, rgb = item
         if number in known:
-            return known[number]
-        marks = _expected(known, numbers, number)
-        if marks is None:
-            return _lost(number, time, a)
-        seen = trace(rgb, region_about(marks), careful=False)
-        if seen.presence < LEAST_PRESENCE:
-            return _lost(number, time, a)
-        here = frame(number, time, rgb, seen.points, seen.presence, level.of(seen.scores[:a]))
-        begun = settle(face, aim(face, here, eyes, w), template, eyes, w)
-        return seek(face, skin, begun, w, (FLOW_LEVEL,), DENSE_LEVEL)
+            one = known[number]
+        else:
+            seen = trace(rgb, region_about(sightings.expected(number)), careful=False)
+            if seen.presence < LEAST_PRESENCE:
+                return None
+            here = frame(number, time, rgb, seen.points, seen.presence, level.of(seen.scores[: len(face.rig.deltas)]))
+            begun = settle(face, aim(face, here, eyes, w), template, eyes, w)
+            one = seek(face, skin, begun, w, (fitting(here, FLOW_SIDE),), fitting(here, DENSE_SIDE))
+        return Found(number, one.state, one.quality, one.gaze)
 
     out = []
-    for one in each_alone(look, decoded):
+    for one in each_alone(look, decoded if len(sightings.numbers) else ()):
         advance(1)
-        out.append(replace(one, pinned=[], frame=replace(one.frame, pyramid=[])))
+        if one is not None:
+            out.append(one)
     return out
 
 
-def _expected(known: dict[int, Tracked], numbers: np.ndarray, number: int) -> np.ndarray | None:
-    """(478, 3) where the detector should find its points, between the processed frames on both sides."""
-    if not len(numbers):
-        return None
-    i = int(np.searchsorted(numbers, number))
-    before, after = known[numbers[max(i - 1, 0)]].frame, known[numbers[min(i, len(numbers) - 1)]].frame
-    share = np.clip((number - before.number) / max(after.number - before.number, 1), 0, 1)
-    return (1 - share) * before.marks + share * after.marks
-
-
-def _lost(number: int, time: float, a: int) -> Tracked:
-    nothing = Frame(number, time, np.zeros((478, 3)), np.nan, np.full(a, np.nan), *(np.zeros(a),) * 2, np.zeros(2), [])
-    state = State(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 500.0]), np.zeros(a))
-    return Tracked(nothing, state, [], 0.0, np.full((2, 2), np.nan))
+def fitting(here: Frame, side: float) -> int:
+    """The first level of a frame's pyramid whose longer side is no longer than `side` pixels, else the last."""
+    sides = [max(picture.shape) for picture in here.pyramid]
+    return next((level for level, length in enumerate(sides) if length <= side), len(sides) - 1)
 
 
 def smoothed(values: np.ndarray, worth: np.ndarray, fps: float) -> np.ndarray:
