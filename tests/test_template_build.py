@@ -3,6 +3,7 @@
 import sys
 from pathlib import Path
 
+import igl
 import numpy as np
 import pytest
 
@@ -21,6 +22,7 @@ def head() -> Template:
 def builder():
     """The builder's modules, importable for this file only."""
     sys.path.insert(0, str(FOLDER))
+    import depth
     import expressions
     import identity
     import lids
@@ -28,7 +30,7 @@ def builder():
     import subdivide
     import unwrap
 
-    yield {m.__name__: m for m in (expressions, identity, lids, lips, subdivide, unwrap)}
+    yield {m.__name__: m for m in (depth, expressions, identity, lids, lips, subdivide, unwrap)}
     sys.path.remove(str(FOLDER))
 
 
@@ -109,6 +111,51 @@ def test_lids_lie_on_the_eyeballs(head, builder):
         poke.append((r - radius)[(band.ring >= lids.CREST - 1) & (band.ring < 16)])
     assert np.percentile(np.abs(off), 99) < 0.3
     assert np.percentile(poke, 0.1) > -0.3
+
+
+def test_closed_lids_bulge_as_a_dome(head):
+    """No hollow beside the middle of the closed upper lid, which would fold the line of the lids to a V."""
+    lid = head.contours["lid_upper_left"]
+    posed = head.pose(head.mean, weights(eyeBlink=1.0))[lid] - head.eye_centres[0]
+    x = np.linspace(-7, 8, 7)
+    order = np.argsort(posed[:, 0])
+    depth = np.interp(x, posed[order, 0], posed[order, 2])
+    assert (np.diff(depth, 2) < 0.1).all()
+
+
+def test_lips_and_cheeks_are_as_thick_on_everybody(head):
+    inside = np.flatnonzero(head.regions["mouth"] & ~head.regions["face"])
+    skin = head.triangles[head.parts["skin"].triangles].astype(np.int64)
+    outer = skin[~head.regions["mouth"][skin].all(axis=1)]
+    wall = np.sqrt(igl.point_mesh_squared_distance(head.mean[inside], head.mean, outer)[0])
+    thin = (wall > 3) & (wall < 8)
+    assert thin.sum() > 50
+    share = []
+    for a in heads(head):
+        vertices = head.neutral(a)
+        share.append(np.sqrt(igl.point_mesh_squared_distance(vertices[inside[thin]], vertices, outer)[0]) / wall[thin])
+    assert np.std(share, axis=0).mean() < 0.12
+
+
+def test_corners_of_the_mouth_slide_round_the_teeth(head, builder):
+    names = ("teeth_upper", "teeth_lower", "gums")
+    faces = np.concatenate([head.triangles[head.parts[name].triangles] for name in names])
+    teeth = builder["depth"].arch(head.mean, faces, head.mean[head.parts["teeth_upper"].vertices])
+    corner = head.contours["lips_inner_upper"][[0, -1]]
+    rest = teeth.distance(head.mean[corner])[0]
+    for name in builder["depth"].SLIDING:
+        for weight in (0.5, 1.0):
+            moved = head.pose(head.mean, weights(**{name: weight}))[corner]
+            assert np.abs(teeth.distance(moved)[0] - rest).max() < 1.3, name
+        assert np.abs(teeth.distance(moved)[0] - rest).max() < 0.5, name
+
+
+def test_distance_from_an_arch_by_hand(builder):
+    square = np.array([[-1.0, 0, -1], [1, 0, -1], [1, 0, 1], [-1, 0, 1], [0, 2, 0]])
+    teeth = builder["depth"].arch(square, np.array([[0, 1, 2], [0, 2, 3]]), square[:4])
+    away, forward = teeth.distance(np.array([[0, 0, 3.0], [4, 0, 0], [0, 3, 5]]))
+    np.testing.assert_allclose(away, [2, 3, (5 + 4) / 2], atol=1e-6)
+    np.testing.assert_allclose(forward, [1, 0, 1], atol=1e-6)
 
 
 def test_lips_are_sealed_in_neutral_and_when_the_jaw_opens_with_mouth_close(head):

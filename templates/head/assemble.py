@@ -6,6 +6,7 @@ from collections.abc import Callable
 from types import SimpleNamespace
 
 import charts
+import depth
 import expressions
 import landmarks
 import lids
@@ -16,6 +17,7 @@ import placement
 import regions
 import scipy.sparse as sp
 import sketch
+import wall
 from cage import HEAD, MOUTH, NECK, SOCKET_LEFT, Cage
 from identity import FLIP
 from scipy.spatial import cKDTree
@@ -105,7 +107,8 @@ def _skin(recipe: SimpleNamespace, labels: np.ndarray, say: Callable[[str], None
     cage, fine = recipe.cage, recipe.fine
     s, rows = fine.matrix, cage.skin
     mean = s @ recipe.mean[:rows]
-    components = _apply(s, recipe.components[:, :rows])
+    walled = wall.held(recipe.mean, recipe.components, cage, fine)[:, :rows]
+    components = _apply(s, walled)
     gap, mirror = cKDTree(mean).query(mean * FLIP)
     assert gap.max() < 1e-6
     parity = np.sign(np.einsum("kcx,kcx->k", components[:, mirror] * FLIP, components))
@@ -127,13 +130,13 @@ def _skin(recipe: SimpleNamespace, labels: np.ndarray, say: Callable[[str], None
     right = lids.LidBand(left.ring[mirror], mirror[left.contact], left.column[mirror], left.spread)
     masks = regions.regions(mean, fine.triangles, labels, [left, right], mouth, eyes[0], mirror)
     lines = regions.contours(mean, [left, right], mouth, masks["brows"], eyes[0])
-    units, posed = _expressions(recipe, mean, left, mouth, eyes[0][0], mirror, (components, eyes[1][:, 0]))
-    cages = (recipe.mean[:rows] - origin, recipe.components[:, :rows], units)
+    units, posed = _expressions(recipe, origin, mean, left, mouth, eyes[0][0], mirror, (components, eyes[1][:, 0]))
+    cages = (recipe.mean[:rows] - origin, walled, units)
     fields = {"mean": mean, "identity": components, "expressions": posed, "cages": cages, "mirror": mirror}
     return SimpleNamespace(**fields, origin=origin, regions=masks, contours=lines), eyes
 
 
-def _expressions(recipe, mean, left, mouth, centre, mirror, people) -> tuple[np.ndarray, np.ndarray]:
+def _expressions(recipe, origin, mean, left, mouth, centre, mirror, people) -> tuple[np.ndarray, np.ndarray]:
     """(e, c, 3) cleaned on the cage, and (e, n, 3) with lids and lips refitted on the fine skin."""
     cage, names = recipe.cage, recipe.names
     units = expressions.face_units(recipe.source, cage.matrix, cage.mirror, names)[:, : cage.skin]
@@ -148,6 +151,7 @@ def _expressions(recipe, mean, left, mouth, centre, mirror, people) -> tuple[np.
     for _ in range(4):
         rim |= (average @ rim.astype(float)) > 0
     units = expressions.clean(units, names, cage.quads, neck, rim)
+    units = _deepened(recipe, units, origin)
     posed = _apply(recipe.fine.matrix, units)
     change = np.zeros_like(posed)
     for i, name in enumerate(names):
@@ -168,6 +172,33 @@ def _expressions(recipe, mean, left, mouth, centre, mirror, people) -> tuple[np.
     return units, posed
 
 
+def _incisors(recipe: SimpleNamespace, origin: np.ndarray) -> np.ndarray:
+    """(3,) where the middle of the upper incisors' edge lies in the mean head."""
+    guide = recipe.mean[recipe.cage.guides["helper-upper-teeth"]] - origin
+    return np.array([0, guide[:, 1].min(), guide[:, 2].max()]) + placement.INCISORS
+
+
+def _deepened(recipe: SimpleNamespace, units: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """(e, c, 3) expressions on the cage whose lips keep to the teeth; see `depth`."""
+    cage, names = recipe.cage, recipe.names
+    vertices, place = recipe.mean[: cage.skin] - origin, _incisors(recipe, origin)
+    upper, lower, gums = parts.teeth("upper"), parts.teeth("lower"), parts.gums()
+    corners = np.concatenate([part.vertices for part in (upper, lower, gums)]) + place
+    starts = np.cumsum([0, len(upper.vertices), len(lower.vertices)])
+    faces = np.concatenate([part.triangles + k for part, k in zip((upper, lower, gums), starts, strict=True)])
+    teeth = depth.arch(corners, faces, upper.vertices + place)
+    about, mirror = depth.rings(vertices, cage), cage.mirror[: cage.skin]
+    out = units.copy()
+    for name in depth.SLIDING:
+        i, j = names.index(f"{name}Left"), names.index(f"{name}Right")
+        out[i] = depth.slide(vertices, units[i], units[j], about, teeth)
+        out[j] = out[i][mirror] * FLIP
+    i = names.index("mouthRollLower")
+    rolled = depth.roll(vertices, units[i], units[names.index("mouthRollUpper")], about)
+    out[i] = (rolled + rolled[mirror] * FLIP) / 2
+    return out
+
+
 def _inner_parts(recipe: SimpleNamespace, skin: SimpleNamespace, eyes) -> list[SimpleNamespace]:
     """The eyeballs and what is in the mouth: name, generator's part, vertices in the head frame, its frames as
     (rows, frame), and its own deltas (e, k, 3) or None."""
@@ -178,8 +209,7 @@ def _inner_parts(recipe: SimpleNamespace, skin: SimpleNamespace, eyes) -> list[S
         motion = units[:, rows] * (name != "helper-upper-teeth")
         frames[name] = placement.guided_frame(recipe.mean[rows] - skin.origin, recipe.components[:, rows], motion)
     upper, lower = frames["helper-upper-teeth"], frames["helper-lower-teeth"]
-    teeth = recipe.mean[cage.guides["helper-upper-teeth"]] - skin.origin
-    incisors = np.array([0, teeth[:, 1].min(), teeth[:, 2].max()]) + placement.INCISORS
+    incisors = _incisors(recipe, skin.origin)
     ball, gums, tongue = parts.eyeball(), parts.gums(), parts.tongue()
     everything = slice(None)
     found = []

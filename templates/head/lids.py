@@ -27,12 +27,13 @@ LEAST = 0.8  # mm of skin over the eye that the identity's variation leaves
 SAMPLES, SEED = 1500, 5
 RAISE = 0.4  # mm of the eyeball's centre above the middle of the opening
 SHRINK = 0.6  # of the identity's sliding of the lids about the eye; the error off the sphere goes with its square
-OVERLAP = 1.6  # mm by which the closed upper lid passes the lower lid's line
+OVERLAP = 2.4  # mm by which the closed upper lid passes the lower lid's line
 BULGE = 0.5  # mm of hover of the closed upper lid, so that half a blink cuts less into the eye
 BLEND = (8, 20)  # rings between which the closed lid passes from its own shape to the source's
-# the closed upper lid bulges so far that none of these heads' eyes comes nearer to its skin than SPARE mm, up to this
-# ring, smoothed over SOFT mm
-CLOSED_SAMPLES, SPARE, BULGING, SOFT = 300, 0.05, 15, 2.0
+# the closed upper lid bulges forward so far that none of these heads' eyes comes nearer to its skin than SPARE mm, up
+# to this ring, smoothed over SOFT mm, and as a dome that falls off by DOME mm across: a narrow one folds the line of
+# the lids to a V
+CLOSED_SAMPLES, SPARE, BULGING, SOFT, DOME = 300, 0.05, 15, 2.0, 6.0
 
 
 @dataclass(frozen=True)
@@ -249,13 +250,13 @@ def close_lids(
     a = np.random.default_rng(SEED + 1).standard_normal((CLOSED_SAMPLES, len(components)))
     heads = mean[skin] + np.tensordot(a, components[:, skin], 1)
     centres = centre + (a @ basis)[:, None]
-    away = np.linalg.norm((mean + closed)[skin, None] - (mean + closed)[None, skin], axis=2)
-    smooth = np.exp(-((away / SOFT) ** 2) / 2)
+    x, y, z = (axis[:, None] - axis for axis in (mean + closed)[skin].T)
+    smooth = np.exp(-(x * x + y * y + z * z) / SOFT**2 / 2)
     smooth /= smooth.sum(axis=1, keepdims=True)
+    wide = np.exp(-((x / DOME) ** 2 + (y / SOFT) ** 2) / 2)
     for _ in range(6):
         for weight, spare in ((0.6, -0.5), (0.8, -0.3), (1.0, SPARE)):
             r, direction, radius = surface(heads + weight * closed[skin], centres)
             lack = np.max(np.where(direction[..., 2] > 0.2, radius + spare - r, 0), axis=0)
-            _, direction, _ = surface(mean[skin] + closed[skin], centre)
-            closed[skin] += (1.3 * fade * (smooth @ np.maximum(0, lack)) / weight)[:, None] * direction
+            closed[skin, 2] += 0.6 * fade * (smooth @ (wide * np.maximum(0, lack)).max(axis=1)) / weight
     return closed

@@ -58,7 +58,7 @@ def lip_band(vertices: np.ndarray, triangles: np.ndarray, in_mouth: np.ndarray) 
         ring[((graph @ (ring == k - 1)) > 0) & (ring == 99) & ~inside] = k
     for k in range(1, 12):
         ring[((graph @ (ring == 1 - k)) > 0) & (ring == 99) & inside] = -k
-    halves = {k: _halves(vertices, graph, np.flatnonzero(ring == k)) for k in range(16)}
+    halves = {k: halves_of(vertices, graph, np.flatnonzero(ring == k)) for k in range(16)}
     upper, lower = halves[CONTACT][0][1:-1], halves[CONTACT][1][1:-1]
     spread = _spread(graph, ring, np.concatenate([upper, lower]), halves[CONTACT][0][[0, -1]])
     spreads = spread[:, : len(upper)].tocsr(), spread[:, len(upper) :].tocsr()
@@ -66,7 +66,7 @@ def lip_band(vertices: np.ndarray, triangles: np.ndarray, in_mouth: np.ndarray) 
     return LipBand(ring, halves, upper, lower, *spreads, _at(x, y), _at(y, x))
 
 
-def _halves(vertices: np.ndarray, graph: sp.csr_matrix, loop: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def halves_of(vertices: np.ndarray, graph: sp.csr_matrix, loop: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A closed ring cut at its leftmost and rightmost vertex: the upper and the lower half, corners in both."""
     inside = set(loop.tolist())
     links = {v: [w for w in graph[v].indices.tolist() if w in inside] for v in loop.tolist()}

@@ -13,6 +13,7 @@ from .teeth import ArchName, Crown, crowns
 
 _SIDES = {True: (0.44, 0.05), False: (0.38, 0.08)}  # labial?: crown height of the gum between teeth and at mid-tooth
 _VESTIBULE = ((12.0, 0.3), (7.5, 0.4), (3.8, 0.8))  # mm rootward of the neck, mm outside the crown's neck
+_LOW_VESTIBULE = ((6.6, -2.2), (5.0, -0.9), (3.2, 0.3))  # drawn up and in below: chins are narrow for the root
 _ROLL = (1.3, 0.65)  # the rounded edge of the gum: mm rootward of the margin, mm outside the crown
 _LIP = 0.12  # mm outside the crown at the margin
 _LINGUAL = {"upper": (3.0, 1.2), "lower": (6.0, 0.8)}  # lingual base: mm rootward of the neck, mm inside the crown
@@ -50,7 +51,7 @@ def _stations(count: int) -> list[tuple[int, float]]:
     return places
 
 
-def _section(crown: Crown, along: float, arch: ArchName) -> Floats:
+def _section(crown: Crown, along: float, arch: ArchName, vestibule: tuple[tuple[float, float], ...]) -> Floats:
     """The nine points (9, 3) of one cross-section on one crown."""
     behind = along > 1.0
     inside = np.array(min(abs(along), 0.93) * np.sign(along))
@@ -73,7 +74,7 @@ def _section(crown: Crown, along: float, arch: ArchName) -> Floats:
     shrink = 0.55 if behind else 1.0
     neck = [float(crown.surface(np.array(0.0), np.array(0.0), side)) * shrink for side in (True, False)]
     swell = 0.25 * np.cos(np.pi * min(abs(along), 1.0))
-    for mm, out in _VESTIBULE:
+    for mm, out in vestibule:
         at(-mm / crown.height, neck[0] + out + swell * (mm < 10))
     for labial in (True, False):
         t, sign = margin(labial), 1.0 if labial else -1.0
@@ -95,26 +96,13 @@ def _section(crown: Crown, along: float, arch: ArchName) -> Floats:
 
 def _ridge(arch: ArchName, row: tuple[Crown, ...], corner: float) -> Half:
     """The left half of one gum with its palate or floor; `corner` is the texture's v of its lower edge."""
-    sections = []
-    for k, along in _stations(len(row)):
-        here = _section(row[k], along, arch)
-        if along == -1.0 and k > 0:
-            here = 0.5 * (here + _section(row[k - 1], 1.0, arch))
-        elif along == 1.0 and k + 1 < len(row):
-            continue
-        sections.append(here)
-    grid = np.stack(sections)
-    grid[-1, :, 0] = 0.0
-    for rows, passes in (((0, 1, 8), 4), ((2,), 1)):
-        for _ in range(passes):
-            grid[:, rows] = _smoothed(grid[:, rows])
-    chain = _chain(grid[:, 8], arch)
-    full = np.concatenate([grid, chain], 1)
+    full = _surface(arch, row, _VESTIBULE if arch == "upper" else _LOW_VESTIBULE)
     stations, columns = full.shape[:2]
     ids = np.arange(stations * columns, dtype=np.int32).reshape(stations, columns)
     # at the front end of the midline only this diagonal avoids three points in a line
     triangles = grid_triangles(ids)
-    outer, inner, uv = _texture(full, corner)
+    # both vestibules have the texture of the same depth
+    outer, inner, uv = _texture(_surface(arch, row, _VESTIBULE), corner)
     uv_triangles = _match(ids, triangles, outer, inner)
     if _volume_sign(full, triangles) * (1 if arch == "upper" else -1) > 0:
         triangles, uv_triangles = triangles[:, ::-1], uv_triangles[:, ::-1]
@@ -123,6 +111,24 @@ def _ridge(arch: ArchName, row: tuple[Crown, ...], corner: float) -> Half:
     groups = {arch: ids.ravel(), name: ids[:, 8:].ravel(), f"margin_{arch}": ids[:, [4, 6]].ravel()}
     mucosa = np.concatenate([[1.0, 0.75, 0.35, 0.06, 0.0, 0.0, 0.0, 0.06, 0.3], np.full(_CHAIN, 0.45)])
     return Half(full.reshape(-1, 3), triangles, uv, uv_triangles, groups, {}, {"mucosa": np.tile(mucosa, stations)})
+
+
+def _surface(arch: ArchName, row: tuple[Crown, ...], vestibule: tuple[tuple[float, float], ...]) -> Floats:
+    """The grid (stations, 13, 3) of the left half: cross-sections and chains."""
+    sections = []
+    for k, along in _stations(len(row)):
+        here = _section(row[k], along, arch, vestibule)
+        if along == -1.0 and k > 0:
+            here = 0.5 * (here + _section(row[k - 1], 1.0, arch, vestibule))
+        elif along == 1.0 and k + 1 < len(row):
+            continue
+        sections.append(here)
+    grid = np.stack(sections)
+    grid[-1, :, 0] = 0.0
+    for rows, passes in (((0, 1, 8), 4), ((2,), 1)):
+        for _ in range(passes):
+            grid[:, rows] = _smoothed(grid[:, rows])
+    return np.concatenate([grid, _chain(grid[:, 8], arch)], 1)
 
 
 def _smoothed(rows: Floats) -> Floats:
