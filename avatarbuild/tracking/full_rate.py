@@ -16,8 +16,8 @@ from avatarbuild.tracking.fit import Face, State, Weights
 from avatarbuild.tracking.frames import Frame, ScoreLevel, frame
 
 # pixels of the face's crop, whatever the video's size; the shapes are known by now
-DENSE_SIDE = 144.0  # for dense flow
-FLOW_SIDE = 288.0  # for equation (6)
+DENSE_SIDE = 256.0  # for dense flow
+FLOW_SIDE = 512.0  # for equation (6)
 CUT_OFF = 7.0  # Hz: motion that is faster than a blink's lids is noise
 LEAST_PRESENCE = 0.5
 
