@@ -15,19 +15,24 @@ import argparse
 import sys
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from avatarbuild.details.ambient_occlusion import ambient_occlusion, surface_normals
 from avatarbuild.details.synthesis import Synthesis, train
+from avatarbuild.formats.images import encode_png
 from avatarbuild.simulation import wrinkles
 from avatarbuild.simulation.chart import Chart, chart_of
 from avatarbuild.simulation.noise import fractal
 from avatarbuild.simulation.performance import perform
 from avatarbuild.simulation.subject import Subject, random_subject
-from avatarbuild.template import ARKIT_NAMES, Template
+from avatarbuild.template import ARKIT_NAMES, Template, expression_weights
+from avatarbuild.texture.chart import draw_chart
+from avatarbuild.texture.occlusion import ambient as by_embree
 
 FIRST = 2000  # seed of the first person
 SIDE = 1024
@@ -141,12 +146,97 @@ def speed(t: Template, people: int) -> None:
     )
 
 
+FOLDED = (
+    {"browInnerUp": 0.9, "browOuterUp": 0.8, "eyeSquint": 0.6, "mouthSmile": 0.8, "noseSneer": 0.5},
+    {"browDown": 0.9, "noseSneer": 0.8, "cheekSquint": 0.8, "mouthPucker": 0.6, "mouthShrugLower": 0.8},
+    {"browInnerUp": 0.8, "cheekSquint": 0.9, "mouthSmile": 0.9, "jawOpen": 0.3},
+)
+
+
+class Folded(NamedTuple):
+    """A head with its wrinkles: positions (s, s, 3) mm, normals, mask, face (s, s) bool, height (s, s) mm of them."""
+
+    positions: np.ndarray
+    normals: np.ndarray
+    mask: np.ndarray
+    face: np.ndarray
+    height: np.ndarray
+
+
+def folded(t: Template, person: int) -> Folded:
+    """A simulated head in an expression, displaced by its wrinkles."""
+    seed = FIRST + 1000 + person
+    refined, chart = t.subdivide(1), chart_of(t, SIDE)
+    flat = draw_chart(t, refined.uv, refined.uv_triangles, SIDE)
+    mask = flat.part == 1
+    weights = expression_weights(**FOLDED[person % 3])
+    vertices = refined.matrix @ random_subject(t, np.random.default_rng(seed)).posed(weights)
+    positions = flat.field(vertices, refined.triangles)
+    height = np.zeros((SIDE, SIDE), np.float32)
+    rng, at = np.random.default_rng(seed), t.landmarks(t.mean)
+    gains = wrinkles.gains(dict(zip(ARKIT_NAMES, weights, strict=True)))
+    for name, lines in wrinkles._lines(at, rng).items():
+        relief = wrinkles._relief(chart, lines, rng)
+        if name == "chin":
+            relief = relief + wrinkles._dimples(chart, at[175] * 0.5 + at[200] * 0.5, int(rng.integers(1 << 20)))
+        height += gains[name] * relief
+    positions = positions + height[..., None] * surface_normals(positions, mask)
+    face = (flat.field(refined.matrix @ t.regions["face"].astype(float), refined.triangles) > 0.5) & mask
+    return Folded(positions, surface_normals(positions, mask), mask, face, height)
+
+
+def by_rays(head: Folded, texels: np.ndarray, rays: int = 200) -> np.ndarray:
+    """(k,) openness of flat texels by rays through the surface that joins neighbouring texels."""
+    number = np.full(head.mask.shape, -1)
+    number[head.mask] = np.arange(head.mask.sum())
+    square = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], axis=-1).reshape(-1, 4)
+    square = square[(square >= 0).all(axis=1)]
+    triangles = np.concatenate([square[:, [0, 1, 2]], square[:, [0, 2, 3]]])
+    at, normals = (x.reshape(-1, 3)[texels].astype(float) for x in (head.positions, head.normals))
+    return by_embree(head.positions[head.mask].astype(float), triangles, at, normals, rays, 0.02)[0]
+
+
 def occlusion(t: Template, people: int) -> None:
-    raise NotImplementedError
+    """Mean error over 4000 texels of the face and 2000 of its wrinkles (deeper or higher than 0.05 mm)."""
+    for person in range(people):
+        head, rng = folded(t, person), np.random.default_rng(1)
+        found = ambient_occlusion(head.positions, head.normals, head.mask).reshape(-1)
+        start = time.perf_counter()
+        ambient_occlusion(head.positions, head.normals, head.mask)
+        taken = time.perf_counter() - start
+        line = f"occlusion: head {person}, {taken:.1f} s"
+        for name, area, count in (("face", head.face, 4000), ("wrinkles", head.face & (abs(head.height) > 0.05), 2000)):
+            texels = rng.choice(np.flatnonzero(area), count, replace=False)
+            true = by_rays(head, texels)
+            error, constant = np.abs(found[texels] - true).mean(), np.abs(true - np.median(true)).mean()
+            line += f"; {name} {error:.4f} (best constant {constant:.4f})"
+        print(line)
 
 
 def pictures(t: Template, out: Path) -> None:
-    raise NotImplementedError
+    """Occlusion of a folded face beside that by rays, and a left-out frame's map beside its own and the truth."""
+    head = folded(t, 0)
+    window = (slice(330, 700), slice(300, 724))
+    inside = np.zeros(head.mask.shape, bool)
+    inside[window] = True
+    texels = np.flatnonzero(inside & head.mask)
+    rays = np.ones(head.mask.size)
+    rays[texels] = by_rays(head, texels, 60)
+    mine = ambient_occlusion(head.positions, head.normals, head.mask)
+    pair = np.concatenate([mine[window], rays.reshape(mine.shape)[window]], axis=1)
+    write(out / "details-occlusion.png", np.round(255 * pair).astype(np.uint8))
+    clip = Clip(t, chart_of(t, SIDE), FIRST, 4.0, 0.7)
+    made, held = trained(clip, t)
+    tilt = [degrees(clip.truth(i), layers(np.zeros((SIDE, SIDE, 3), np.float32)))[clip.seen > 0].sum() for i in held]
+    i = held[int(np.argmax(tilt))]
+    maps = [clip.own(i), made.evaluate(made.strain_of(clip.vertices[i])), clip.truth(i)]
+    row = np.concatenate([m[330:660, 330:694, :3] for m in maps], axis=1)
+    write(out / "details-synthesis.png", np.round(row * 127.5 + 127.5).astype(np.uint8))
+
+
+def write(place: Path, picture: np.ndarray) -> None:
+    place.write_bytes(encode_png(picture))
+    print(f"pictures: {place}")
 
 
 def main() -> None:

@@ -15,15 +15,20 @@ _GOLDEN = np.pi * (3 - np.sqrt(5))
 
 
 def ambient(
-    vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, normals: np.ndarray, rays: int = RAYS
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    points: np.ndarray,
+    normals: np.ndarray,
+    rays: int = RAYS,
+    lift: float = _LIFT,
 ) -> tuple[np.ndarray, np.ndarray]:
     """
     a = (1/pi) int V(d) max(n . d, 0) dd in (k,), and the mean d where V = 1, weighted alike, in (k, 3), unit.
 
     V(d) is 0 where a ray from the point meets a triangle. vertices (n, 3) mm, triangles (m, 3); points and unit
     normals (k, 3). `rays` directions on a spiral whose density is the cosine, turned for every point by an angle of
-    its own, so that nothing is random and neighbours do not share their error. Where nothing is open the direction is
-    the normal.
+    its own, so that nothing is random and neighbours do not share their error; they start `lift` mm off the surface.
+    Where nothing is open the direction is the normal.
     """
     scene = RayMeshIntersector(trimesh.Trimesh(vertices, triangles, process=False))
     points, normals = np.asarray(points, np.float64), np.asarray(normals, np.float64)
@@ -32,7 +37,7 @@ def ambient(
     turn = (np.arange(len(points)) * 2.399963) % (2 * np.pi)
     tangent, across = frames(normals)
     count, mean = np.zeros(len(points)), np.zeros((len(points), 3))
-    start = points + _LIFT * normals
+    start = points + lift * normals
     for first in range(0, rays, _STEP):
         some = slice(first, min(first + _STEP, rays))
         angle = _GOLDEN * k[some, None] + turn
