@@ -1,6 +1,6 @@
 """Every figure of the head template: fit, texture map, lids, landmarks, speed, rebuild.
 
-    python benchmarks/template.py [fit] [uv] [blink] [lids] [landmarks] [mouth] [speed] [rebuild --wheel PATH]
+    python benchmarks/template.py [fit] [uv] [blink] [lids] [landmarks] [mouth] [corners] [speed] [rebuild --wheel PATH]
 
 Without names all but `rebuild` run. `fit` needs AVATARBUILD_BENCHMARK, the folder that holds truth_b.
 """
@@ -338,6 +338,33 @@ def mouth(template: Template) -> None:
         print("mouth, heads with more than 0.5 mm:", "; ".join(f"{p} {int((table[p] > 0.5).sum())}" for p in worst))
 
 
+def corners(template: Template) -> None:
+    """How the mouth's left corner's distance from the dental arch changes on its way: the mean head, and 24 others."""
+    import depth
+
+    names = ("teeth_upper", "teeth_lower", "gums")
+    faces = np.concatenate([template.triangles[template.parts[name].triangles] for name in names])
+    corner = template.contours["lips_inner_upper"][-1:]
+    heads = [template.mean, *(template.neutral(a) for a in random_heads(template, 24))]
+    arches = [depth.arch(head, faces, head[template.parts["teeth_upper"].vertices]) for head in heads]
+    rest = [teeth.distance(head[corner])[0][0] for teeth, head in zip(arches, heads, strict=True)]
+    for name in (*depth.SLIDING, "mouthLeft", "mouthRight", "mouthPucker", "mouthFunnel"):
+        table = []
+        for amount in (0.25, 0.5, 0.75, 1.0):
+            w = weights(**{name: amount})
+            table.append(
+                [
+                    teeth.distance(template.pose(head, w)[corner])[0][0] - start
+                    for teeth, head, start in zip(arches, heads, rest, strict=True)
+                ]
+            )
+        change = np.array(table)
+        print(
+            f"corners, {name:13s}: mean head {' '.join(f'{c:+.1f}' for c in change[:, 0])} mm at 0.25, 0.5, 0.75, 1; "
+            f"24 heads at 1 {change[-1, 1:].mean():+.1f} ± {change[-1, 1:].std():.1f}"
+        )
+
+
 def speed(template: Template) -> None:
     """Milliseconds of one evaluation, the fastest of many (others use the machine too)."""
     rng = np.random.default_rng(0)
@@ -374,7 +401,7 @@ def rebuild(wheel: Path | None) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     runs = {"fit": fit, "uv": uv, "blink": blink, "lids": lids, "landmarks": landmarks}
-    runs |= {"mouth": mouth, "speed": speed}
+    runs |= {"mouth": mouth, "corners": corners, "speed": speed}
     parser.add_argument("what", nargs="*", help=", ".join([*runs, "rebuild"]))
     parser.add_argument("--template", type=Path, help="a template file; the shipped head by default")
     parser.add_argument("--wheel", type=Path, help="for rebuild: the source wheel")
