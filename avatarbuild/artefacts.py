@@ -432,6 +432,37 @@ class Performance:
 
 
 @dataclass(frozen=True)
+class Refinement:
+    """
+    The person's shapes after shape from shading. Without a video they are those that came in, and there is no light.
+
+    neutral (n, 3), deltas (52, n, 3) float32 mm: as in Blendshapes
+    light        (9,) y of equation (1) for the video's grey, in camera axes; zeros without a video
+    exposure     (j,) of each processed frame, beside their mean
+    moved        (52,) mm: how far each shape moved at most
+    """
+
+    neutral: np.ndarray
+    deltas: np.ndarray
+    light: np.ndarray
+    exposure: np.ndarray
+    moved: np.ndarray
+    figures: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+    def save(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / "refinement.npz").open("wb") as f:
+            arrays = {name: getattr(self, name) for name in ("neutral", "light", "exposure", "moved")}
+            np.savez(f, deltas=self.deltas.astype(np.float32), **arrays)
+
+    @staticmethod
+    def load(folder: Path) -> Refinement:
+        with np.load(folder / "refinement.npz") as arrays:
+            return Refinement(**{name: arrays[name] for name in arrays.files})
+
+
+@dataclass(frozen=True)
 class Avatar:
     """The deliverables: file name -> bytes (avatar.glb, avatar.json, report.html, …)."""
 

@@ -132,6 +132,14 @@ class TrackingOptions:
 
 
 @dataclass(frozen=True)
+class RefinementOptions:
+    """Shape from shading on the tracked frames, and the shapes refined against it."""
+
+    pixel: float = option(1.0, "mm", "What a pixel of the depth maps covers on the face.", draft=2.0, least=0.25)
+    worth: float = option(0.2, "1/mm^2", "Of the depth maps beside closeness to the tracked shapes.", least=0.0)
+
+
+@dataclass(frozen=True)
 class AvatarOptions:
     """avatar.glb and avatar.json."""
 
@@ -148,6 +156,7 @@ STAGE_OPTIONS: dict[str, type] = {
     "albedo": AlbedoOptions,
     "blendshapes": BlendshapesOptions,
     "tracking": TrackingOptions,
+    "refinement": RefinementOptions,
     "avatar": AvatarOptions,
 }
 

@@ -16,6 +16,7 @@ from typing import Any
 
 from avatarbuild import __version__, artefacts, options
 from avatarbuild.errors import InputError
+from avatarbuild.formats.corrections import Corrections
 from avatarbuild.progress import Progress
 from avatarbuild.project import Project
 from avatarbuild.template_files import TemplateFile
@@ -28,7 +29,8 @@ class Stage:
     """
     A row: `avatarbuild.stages.<name>.run(*needs, options, progress)` makes the artefact. HEAD_STAGES are given the
     project's head template as well, as `template`; a stage that `reports`, the stamps of the others, as `stamps`; one
-    that `watches` the video itself, the capture's folder as `source`.
+    that `watches` the video itself, the capture's folder as `source`; one that is `corrected`, by a section of the
+    project's corrections.json, them as `corrections`.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Stage:
     sentence: str
     reports: bool = False
     watches: bool = False
+    corrected: str = ""
 
 
 STAGES = (
@@ -74,13 +77,22 @@ STAGES = (
         ("capture", "cameras", "neutral", "albedo", "blendshapes"),
         artefacts.Performance,
         options.TrackingOptions,
-        1,
+        2,
         "the performance in the video, and the person's own expressions",
         watches=True,
+        corrected="video",
+    ),
+    Stage(
+        "refinement",
+        ("capture", "albedo", "blendshapes", "tracking"),
+        artefacts.Refinement,
+        options.RefinementOptions,
+        1,
+        "the expressions refined by the light on the skin",
     ),
     Stage(
         "avatar",
-        ("capture", "cameras", "points", "neutral", "albedo", "blendshapes", "tracking"),
+        ("capture", "cameras", "points", "neutral", "albedo", "blendshapes", "tracking", "refinement"),
         artefacts.Avatar,
         options.AvatarOptions,
         1,
@@ -89,7 +101,7 @@ STAGES = (
     ),
 )
 # those that work on the template: no face, no sense
-HEAD_STAGES = ("neutral", "albedo", "blendshapes", "tracking", "avatar")
+HEAD_STAGES = ("neutral", "albedo", "blendshapes", "tracking", "refinement", "avatar")
 NAMES = [stage.name for stage in STAGES]
 
 
@@ -135,11 +147,17 @@ def plan(first: str | None, until: str | None, only: str | None, force: bool) ->
     return Plan(selected, forced, False)
 
 
-def keys(capture_digest: str, template_digest: str, chosen: dict[str, Any], capture_key: str = "") -> dict[str, str]:
+def keys(
+    capture_digest: str,
+    template_digest: str,
+    chosen: dict[str, Any],
+    corrections: Corrections | None = None,
+    capture_key: str = "",
+) -> dict[str, str]:
     """
     What each stage's artefact is made of, as a hash: the stage's version, its options, the keys of the stages that it
-    needs, for the capture the bytes of its files, and for the stages that use the head template its bytes. Where the
-    capture is gone, `capture_key` stands for stage capture's.
+    needs, for the capture the bytes of its files, for the stages that use the head template its bytes, and what the
+    user has set by hand for a stage. Where the capture is gone, `capture_key` stands for stage capture's.
     """
     made: dict[str, str] = {}
     for stage in STAGES:
@@ -151,6 +169,8 @@ def keys(capture_digest: str, template_digest: str, chosen: dict[str, Any], capt
         }
         if stage.name in HEAD_STAGES:
             recipe["template"] = template_digest
+        if stage.corrected and corrections is not None and (digest := corrections.digest(stage.corrected)):
+            recipe["corrections"] = digest
         made[stage.name] = hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
         if not stage.needs and capture_key:
             made[stage.name] = capture_key
@@ -187,7 +207,8 @@ def run(
     Raises InputError where the input or the template cannot serve, where --only finds its inputs stale and, after the
     last stage, where the photos show no face: cameras and points are then in COLMAP's own scale.
     """
-    made_of = keys(capture_digest, template.digest, chosen)
+    corrections = project.corrections()
+    made_of = keys(capture_digest, template.digest, chosen, corrections)
     before = {line.name: line for line in states(project, made_of)}
     loaded: dict[str, Any] = {}
     head = None
@@ -220,6 +241,8 @@ def run(
             more["stamps"] = [stamp for stamp in stamps if stamp]
         if stage.watches:
             more["source"] = source
+        if stage.corrected:
+            more["corrections"] = corrections
         line = _run_stage(project, stage, source, made_of[stage.name], chosen[stage.name], load, progress, more)
         loaded.pop(stage.name, None)
         tell(line, True)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from avatarbuild.artefacts import Blendshapes
 from avatarbuild.contacts import STILL, Contacts, Head
 from avatarbuild.energies import jaw
 from avatarbuild.geometry.similarity import similarity
 from avatarbuild.template import COMBINATION_LIMITS, Template
+from avatarbuild.tracking.rig import Rig
 
 MOUTH_PARTS = ("teeth_upper", "teeth_lower", "gums", "tongue")
 
@@ -40,6 +42,19 @@ def without_limits(t: Template, posed: np.ndarray) -> None:
     for j, limit in limits_of(t).items():
         moving = np.linalg.norm(t.expressions[j], axis=1) > STILL
         posed[j] = np.where(moving[:, None], posed[j] - posed[limit], 0)
+
+
+def kept(template: Template, blendshapes: Blendshapes, learnt: Rig) -> tuple[Rig, dict[str, float]]:
+    """
+    The shapes learnt from a video (a, n, 3), the transferred ones for the rest of the 52, with lids, lips, teeth, jaw
+    as they must be; and what is left of the contacts in mm.
+    """
+    person, size, turn = in_template_s_frame(template, learnt.neutral, blendshapes.eye_centres)
+    deltas = blendshapes.deltas.astype(np.float64)
+    deltas[: len(learnt.deltas)] = learnt.deltas
+    moved, figures = keep(template, person, deltas @ turn / size)
+    figures = {key: round(size * value, 3) for key, value in figures.items()}
+    return Rig(learnt.neutral, size * moved @ turn.T, learnt.triangles), figures
 
 
 def keep(t: Template, person: Head, deltas: np.ndarray) -> tuple[np.ndarray, dict[str, float]]:

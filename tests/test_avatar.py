@@ -30,6 +30,7 @@ from avatarbuild.artefacts import (
     Cloud,
     Neutral,
     Performance,
+    Refinement,
     Views,
 )
 from avatarbuild.formats import avatar_glb, glb_performance
@@ -40,6 +41,7 @@ from avatarbuild.options import AvatarOptions
 from avatarbuild.progress import Silent
 from avatarbuild.simulation.subject import random_subject
 from avatarbuild.stages import avatar
+from avatarbuild.stages.refinement import untouched
 from avatarbuild.template import ARKIT_NAMES
 
 SCHEMA = json.loads((Path(__file__).parent.parent / "docs" / "schemas" / "avatar.schema.json").read_text())
@@ -120,16 +122,28 @@ def played() -> Performance:
     return performances.performance(person()[5])
 
 
+def refined() -> Refinement:
+    return untouched(person()[6], [])
+
+
 @cache
 def built() -> Avatar:
-    return avatar.run(*person(), OPTIONS, Silent(), synthetic.template())
+    return avatar.run(*person(), refined(), OPTIONS, Silent(), synthetic.template())
 
 
 @cache
 def animated() -> Avatar:
     """The same with a tracked clip, whose pictures are gone."""
     capture, *rest, _ = person()
-    return avatar.run(dataclasses.replace(capture, clip=None), *rest, played(), OPTIONS, Silent(), synthetic.template())
+    return avatar.run(
+        dataclasses.replace(capture, clip=None),
+        *rest,
+        played(),
+        untouched(played(), []),
+        OPTIONS,
+        Silent(),
+        synthetic.template(),
+    )
 
 
 def glb() -> Gltf:
@@ -193,7 +207,7 @@ def test_size() -> None:
 
 
 def test_same_bytes_twice() -> None:
-    assert avatar.run(*person(), OPTIONS, Silent(), synthetic.template()).files == built().files
+    assert avatar.run(*person(), refined(), OPTIONS, Silent(), synthetic.template()).files == built().files
 
 
 # the contract
@@ -412,7 +426,9 @@ def test_provenance() -> None:
 
 def test_photos_alone_give_a_whole_avatar() -> None:
     capture, *rest = person()
-    made = avatar.run(dataclasses.replace(capture, clip=None), *rest, OPTIONS, Silent(), synthetic.template())
+    made = avatar.run(
+        dataclasses.replace(capture, clip=None), *rest, refined(), OPTIONS, Silent(), synthetic.template()
+    )
     assert made.files["avatar.glb"] == built().files["avatar.glb"]
     assert about(made)["capture"]["video"] is None
 

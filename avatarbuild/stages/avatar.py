@@ -6,12 +6,13 @@ import hashlib
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from avatarbuild import __version__
-from avatarbuild.artefacts import Albedo, Avatar, Blendshapes, Cameras, Capture, Cloud, Neutral, Performance
+from avatarbuild.artefacts import Albedo, Avatar, Blendshapes, Cameras, Capture, Cloud, Neutral, Performance, Refinement
 from avatarbuild.formats import avatar_glb
 from avatarbuild.formats.images import encode_jpeg, encode_png
 from avatarbuild.formats.track import track_csv, track_json
@@ -31,12 +32,14 @@ def run(
     albedo: Albedo,
     blendshapes: Blendshapes,
     performance: Performance,
+    refinement: Refinement,
     options: AvatarOptions,
     progress: Progress,
     template: Template,
     stamps: Sequence[dict[str, Any]] = (),
 ) -> Avatar:
     """The files of the avatar folder; each is complete on its own. `stamps`: what the stages before left behind."""
+    performance = replace(performance, neutral=refinement.neutral, deltas=refinement.deltas)
     rig = avatar_glb.Rig(
         performance.neutral, performance.deltas, performance.eye_centres, options.least_motion, options.least_turn
     )
@@ -59,6 +62,7 @@ def run(
         "albedo": albedo,
         "blendshapes": blendshapes,
         "tracking": performance,
+        "refinement": refinement,
     }
     files = {
         "avatar.glb": made.glb,

@@ -15,16 +15,18 @@ import numpy as np
 from avatarbuild.artefacts import Albedo, Blendshapes, Cameras, Capture, Neutral, Performance
 from avatarbuild.errors import InputError
 from avatarbuild.formats import video
+from avatarbuild.formats.corrections import Corrections
 from avatarbuild.options import TrackingOptions
 from avatarbuild.progress import Progress
 from avatarbuild.rigging import kept
 from avatarbuild.template import ARKIT_NAMES, Template
 from avatarbuild.tracking import alternation, full_rate
+from avatarbuild.tracking.corrections import propagated
 from avatarbuild.tracking.fit import Weights, wearing
 from avatarbuild.tracking.full_rate import Sightings
 from avatarbuild.tracking.lens import Lens
+from avatarbuild.tracking.markers import Clicks
 from avatarbuild.tracking.modelling import Freedom
-from avatarbuild.tracking.rig import Rig
 from avatarbuild.tracking.subject import SHAPES, kept_frames, said, score_level, subject
 from avatarbuild.tracking.take import performance, warnings_of
 
@@ -43,10 +45,11 @@ def run(
     progress: Progress,
     template: Template,
     source: Path,
+    corrections: Corrections | None = None,
 ) -> Performance:
     """
-    The performance in the capture's video, `source` the capture's folder; without a video, or without a face in it, the
-    transferred shapes as they are.
+    The performance in the capture's video, `source` the capture's folder and `corrections` what the user has set by
+    hand; without a video, or without a face in it, the transferred shapes as they are.
 
     Raises InputError where the video is gone.
     """
@@ -60,7 +63,18 @@ def run(
     lens = Lens(clip.focal, 0.0, clip.size)
     face, skin, eyes = subject(capture, cameras, neutral, albedo, blendshapes, template, lens, clip.frames)
     level = score_level(said(clip.frames), said(clip.frames))
-    frames = kept_frames(clip, level)
+    path = source / clip.file
+    if not path.is_file():
+        raise InputError(f"the video {path} is gone: put it back, or take it out of the capture and run again")
+    clicks: dict[int, Clicks] = {}
+    if corrections is not None and corrections.video:
+        seen = np.flatnonzero(np.isfinite(clip.frames.presence))
+        sightings = Sightings(clip.processed[seen], clip.frames.landmarks[seen])
+        clicks = propagated(
+            *(corrections.video, template.landmarks68, clip.times, sightings.expected),
+            lambda frames: video.decode_frames(path, frames),
+        )
+    frames = kept_frames(clip, level, face.markers, clicks)
     transferred = face.rig
     teaching = np.ones(len(frames), bool)
     if options.leave_out > 1:
@@ -76,13 +90,10 @@ def run(
     rig, contacts = kept(template, blendshapes, face.rig)
     face = wearing(face, replace(rig, deltas=rig.deltas[:SHAPES]))
     with progress.task("Every frame", len(clip.times)) as task:
-        path = source / clip.file
-        if not path.is_file():
-            raise InputError(f"the video {path} is gone: put it back, or take it out of the capture and run again")
         sightings = Sightings.of([one.frame for one in tracked if one.quality > 0])
         whole = full_rate.follow(
             *(face, skin, template, eyes, sightings, tracked, level),
-            *(video.decode_frames(path), weights, task.advance),
+            *(video.decode_frames(path), weights, task.advance, clicks),
         )
     numbers = np.array([one.number for one in frames])
     made = performance(
@@ -97,6 +108,7 @@ def run(
         "rounds": len(history),
         "moved_mm": history[-1]["moved_mm"] if history else 0.0,
         "focal": round(face.lens.focal, 1),
+        "corrected": len(corrections.video) if corrections is not None else 0,
         "shapes_learnt": int((evidence >= 0.5).sum()),
         **contacts,
     }

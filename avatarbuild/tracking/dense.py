@@ -66,26 +66,20 @@ def targets(
     on = np.append(region & (facing > _FACING), False)[raster.triangle]
     if on.sum() < 400:
         return Targets(Places(np.zeros(0, np.int64), np.zeros((0, 3))), np.zeros((0, 2)), 0.0)
-    ours, theirs = _levelled(drawn, on), _levelled(seen, on)
-    there = _flow(ours, theirs)
-    back = _flow(theirs, ours)
-    i, j = np.mgrid[0:h, 0:w].astype(np.float32)
-    to_x, to_y = j + there[..., 0], i + there[..., 1]
-    returned = cv2.remap(back, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(1e3, 1e3))
-    agree = np.linalg.norm(there + returned, axis=2) < _AGREE
+    there, apart = flow_there_and_back(levelled(drawn, on), levelled(seen, on))
     inner = cv2.erode(on.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    good = inner & agree & (np.linalg.norm(there, axis=2) < _WAY)
+    good = inner & (apart < _AGREE) & (np.linalg.norm(there, axis=2) < _WAY)
     cells = np.zeros_like(good)
     cells[_CELL // 2 :: _CELL, _CELL // 2 :: _CELL] = True
     row, column = np.nonzero(good & cells)
     # the barycentric point of a pixel is where its centre meets the surface
-    at = np.stack([to_x[row, column], to_y[row, column]], axis=1) + 0.5
+    at = np.stack([column, row], axis=1) + there[row, column].astype(np.float64) + 0.5
     places = Places(raster.triangle[row, column].astype(np.int64), raster.barycentric[row, column].astype(np.float64))
     share = len(row) / max(int((inner & cells).sum()), 1)
     return Targets(places, at * scale + frame.corner, share)
 
 
-def _levelled(picture: np.ndarray, on: np.ndarray) -> np.ndarray:
+def levelled(picture: np.ndarray, on: np.ndarray) -> np.ndarray:
     """uint8 of the picture on the face, flat beyond it: less its local mean there, over its local spread."""
     inside = np.maximum(cv2.GaussianBlur(on.astype(np.float32), (0, 0), _FLAT), 1e-3)
     value = np.where(on, picture, 0).astype(np.float32)
@@ -94,7 +88,16 @@ def _levelled(picture: np.ndarray, on: np.ndarray) -> np.ndarray:
     return np.clip(128 + _GREY * detail / (spread + _FAINT), 0, 255).astype(np.uint8)
 
 
-def _flow(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def flow_there_and_back(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(h, w, 2) pixels from a to b, both (h, w) uint8, and (h, w) how far there and back ends from the start."""
+    there, back = flow(a, b), flow(b, a)
+    i, j = np.mgrid[0 : a.shape[0], 0 : a.shape[1]].astype(np.float32)
+    to_x, to_y = j + there[..., 0], i + there[..., 1]
+    returned = cv2.remap(back, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(1e3, 1e3))
+    return there, np.linalg.norm(there + returned, axis=2)
+
+
+def flow(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(h, w, 2) float32 pixels from a to b, both (h, w) uint8."""
     engine = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     engine.setFinestScale(0)

@@ -1,0 +1,171 @@
+"""Shape from shading on surfaces whose relief and light are known."""
+
+from __future__ import annotations
+
+import derivatives
+import numpy as np
+import performances
+import synthetic
+
+from avatarbuild.artefacts import Blendshapes
+from avatarbuild.energies import harmonics
+from avatarbuild.geometry.meshes import vertex_normals
+from avatarbuild.shading import observation, registration
+from avatarbuild.shading.light import Light, clip_light
+from avatarbuild.shading.relief import ReliefWeights, light_seen, relief
+from avatarbuild.shading.surface import Drawn, draw, fine_skin
+from avatarbuild.simulation.subject import random_subject
+from avatarbuild.stages.refinement import untouched
+from avatarbuild.tracking.fit import State
+from avatarbuild.tracking.lens import Lens
+from avatarbuild.tracking.rig import Rig
+
+LENS = Lens(600.0, 0.0, (96, 128))
+LIGHT = Light(np.array([0.9, 0.25, -0.35, -0.55, 0.05, 0.02, -0.03, 0.04, 0.05]), np.ones(1))
+CLOSE = ReliefWeights(light=0.3, small=1e-4, slope=1e-3, bend=1e-2, scatter=0.0, rounds=4, steps=80)
+
+
+def wall(depth: float = 300.0) -> Drawn:
+    """A wall across the line of sight, white."""
+    w, h = LENS.size
+    rows, columns = np.mgrid[0:h, 0:w] + 0.5
+    point = np.stack([(columns - w / 2) / LENS.focal, (rows - h / 2) / LENS.focal, np.ones((h, w))], axis=-1) * depth
+    normal = np.zeros((h, w, 3), np.float32)
+    normal[..., 2] = -1
+    uv = np.stack([columns / w, 1 - rows / h], axis=-1)
+    flat = np.zeros((h, w), np.float32)
+    return Drawn(1, np.zeros(2), point, normal, uv, flat, flat + 1, np.ones((h, w), bool))
+
+
+def bumps() -> np.ndarray:
+    """(h, w) mm towards the eye: three of a millimetre and less."""
+    w, h = LENS.size
+    rows, columns = np.mgrid[0:h, 0:w]
+    out = np.zeros((h, w))
+    for x, y, high, wide in ((30, 40, 0.8, 7), (62, 70, -0.6, 6), (40, 95, 0.5, 5)):
+        out += high * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * wide**2))
+    return out
+
+
+def normals_of(drawn: Drawn, d: np.ndarray) -> np.ndarray:
+    """Unit normals, towards the eye, of the surface that d (h, w) mm along the rays makes, by differences."""
+    ray = drawn.point / np.linalg.norm(drawn.point, axis=-1, keepdims=True)
+    p = drawn.point + d[..., None] * ray
+    n = np.cross(np.gradient(p, axis=0), np.gradient(p, axis=1))
+    return n / np.linalg.norm(n, axis=-1, keepdims=True)
+
+
+def test_the_gradient_of_the_harmonics_is_their_derivative() -> None:
+    y = np.random.default_rng(0).standard_normal(9)
+    n = np.random.default_rng(1).standard_normal((4, 3))
+    for point in n:
+        numerical = derivatives.numerical(lambda p: harmonics.basis(p) @ y, point)
+        np.testing.assert_allclose(harmonics.gradient(point, y), numerical[0], atol=1e-7)
+
+
+def test_bumps_come_back_from_their_shading() -> None:
+    drawn = wall()
+    truth = normals_of(drawn, -bumps())
+    made = relief(drawn, LIGHT.shade(truth), LIGHT, LENS, CLOSE)
+    inner = (slice(8, -8), slice(8, -8))
+    off = np.degrees(np.arccos(np.clip((made.normal * truth).sum(axis=-1), -1, 1)))[inner]
+    flat = np.degrees(np.arccos(np.clip(-truth[..., 2], -1, 1)))[inner]
+    assert off.mean() < 0.65 * flat.mean()  # one light tells slopes along one direction only
+    assert np.corrcoef(made.d[inner].ravel(), -bumps()[inner].ravel())[0, 1] > 0.8
+
+
+def test_a_flat_wall_stays_flat() -> None:
+    drawn = wall()
+    assert np.abs(relief(drawn, LIGHT.shade(drawn.normal), LIGHT, LENS, CLOSE).d).max() < 1e-6
+
+
+def test_l1_keeps_a_crease_sharper_than_squares_do() -> None:
+    drawn = wall()
+    rows = np.mgrid[0 : LENS.size[1], 0 : LENS.size[0]][0]
+    crease = 0.4 * np.exp(-np.abs(rows - 64) / 3.0)
+    truth = normals_of(drawn, crease)
+    noise = 1 + 0.02 * np.random.default_rng(2).standard_normal(rows.shape)
+    off = []
+    for sharp in (0.0, 0.05):
+        w = ReliefWeights(light=0.1, small=5e-4, slope=0.02, bend=0.5, scatter=0.0, sharp=sharp, rounds=6)
+        made = relief(drawn, LIGHT.shade(truth) * noise, LIGHT, LENS, w)
+        tilt = np.degrees(np.arccos(np.clip((made.normal * truth).sum(axis=-1), -1, 1)))
+        off.append(tilt[58:70, 10:-10].mean())
+    assert off[1] < 0.95 * off[0]
+
+
+def test_light_and_exposures_are_found_again() -> None:
+    rng = np.random.default_rng(3)
+    frames = []
+    gains = np.array([0.8, 1.0, 1.25])
+    for gain in gains:
+        n = rng.standard_normal((40, 50, 3))
+        n[..., 2] = -np.abs(n[..., 2]) - 0.3
+        n /= np.linalg.norm(n, axis=-1, keepdims=True)
+        tone = rng.normal(-2, 0.2, (40, 50)).astype(np.float32)
+        drawn = wall()
+        drawn = Drawn(
+            1, drawn.corner, drawn.point[:40, :50], n, drawn.uv[:40, :50], tone, tone, np.ones((40, 50), bool)
+        )
+        frames.append((drawn, (gain * np.exp(tone) * LIGHT.shade(n)).astype(np.float32), np.zeros((40, 50))))
+    found = clip_light(frames)
+    np.testing.assert_allclose(found.gains, gains / np.exp(np.log(gains).mean()), rtol=0.01)
+    n = frames[0][0].normal
+    np.testing.assert_allclose(found.shade(n), LIGHT.shade(n), rtol=0.03)
+
+
+def test_a_mole_that_all_frames_show_is_skin_and_no_bump() -> None:
+    drawn = wall()
+    mole = np.ones(LENS.size[::-1], np.float32)
+    mole[60:66, 40:46] = 0.3
+    grey = (LIGHT.shade(drawn.normal) * mole).astype(np.float32)
+    seen = [observation.Seen(i, drawn, grey, np.zeros((*grey.shape, 2), np.float32)) for i in range(4)]
+    light = Light(LIGHT.y, np.ones(4))
+    more = observation.at_uv(observation.what_all_share(seen, light), drawn.uv)
+    fine = ReliefWeights(light=0.1, small=5e-4, slope=0.1, bend=0.1)
+    high = [np.abs(relief(drawn, light_seen(drawn, grey, 1.0, m), light, LENS, fine).d).max() for m in (more, 0 * more)]
+    assert high[0] < 0.1 < high[1]
+
+
+def test_shapes_follow_depth_maps() -> None:
+    template = synthetic.template()
+    subject = random_subject(template, np.random.default_rng(4))
+    rig = Rig(subject.neutral, template.expressions[:51].astype(np.float64), template.triangles)
+    smile = [template.expression_index[name] for name in ("mouthSmileLeft", "mouthSmileRight")]
+    n = template.parts["skin"].vertices.stop
+    region = template.regions["face"][:n]
+    moving = np.linalg.norm(rig.deltas[smile].sum(axis=0), axis=1)[:n]
+    bulge = 0.3 * moving * region
+    weights = np.zeros(51)
+    weights[smile] = 1
+    R, t = np.diag([1.0, -1, -1]), np.array([0, 0, 500.0])
+    state = State(R, t, weights)
+    posed = rig.posed(weights)[:n]
+    normals = vertex_normals(posed, template.triangles[template.parts["skin"].triangles])
+    asked = registration.Planes(normals, bulge, region * (normals[:, 2] > 0.3) * 1.0)
+    made = registration.refine(template, rig, [state] * 8, [asked] * 8, np.array([0, 0, 1.0]))
+    moved = ((made.posed(weights)[:n] - posed) * normals).sum(axis=1)
+    on = asked.sure > 0
+    assert np.abs(moved - bulge)[on].mean() < 0.5 * bulge[on].mean()
+    other = np.delete(np.arange(51), smile)
+    assert np.abs(made.deltas[other] - rig.deltas[other]).max() < 1e-6
+
+
+def test_the_head_is_drawn_smooth_and_lit_by_its_albedo() -> None:
+    template = synthetic.template()
+    albedo = np.full((64, 64, 3), 128, np.uint8)
+    skin = fine_skin(template, albedo, np.ones(template.vertex_count))
+    lens = Lens(400.0, 0.0, (120, 160))
+    drawn = draw(skin, template.mean, lens, np.diag([1.0, -1, -1]), np.array([0, 0, 600.0]), 1)
+    assert drawn.on.mean() > 0.3
+    np.testing.assert_allclose(np.linalg.norm(drawn.normal[drawn.on], axis=1), 1, atol=1e-5)
+    assert (drawn.normal[drawn.on][:, 2] < 0).all()
+    tone = drawn.tone[drawn.on]
+    np.testing.assert_allclose(tone, np.log(0.2158605 + 1e-3), atol=0.02)
+
+
+def test_without_a_video_the_shapes_stay() -> None:
+    template = synthetic.template()
+    subject = random_subject(template, np.random.default_rng(4))
+    still = performances.nothing(Blendshapes(subject.neutral, template.expressions, subject.eye_centres))
+    assert untouched(still, []).deltas is still.deltas
