@@ -227,7 +227,7 @@ def _states(project: Project, alone: bool = False) -> list[pipeline.StageState]:
         with _warned():
             found = open_capture(capture)
             digest = digest_files(found.root, [found.root / name for name in found.files])
-    return pipeline.states(project, pipeline.keys(digest, template, _chosen(project), known))
+    return pipeline.states(project, pipeline.keys(digest, template, _chosen(project), project.corrections(), known))
 
 
 def _chosen(project: Project) -> dict[str, Any]:
@@ -357,6 +357,43 @@ def check(
         return
     rich.console.Console().print(doctor.table(checkup))
     screen.print(f"picture of the coverage: {place}")
+
+
+@app.command()
+def animate(
+    project_folder: ProjectPath,
+    table: Annotated[
+        Path, typer.Argument(metavar="WEIGHTS.csv", help="Weights of every frame; track.csv and its kin.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="The video to write (.mp4, .mov).")],
+    fps: Annotated[float, typer.Option(help="Frames a second.")] = 30.0,
+    light: Annotated[
+        str, typer.Option(help="'estimated' from the photos, 'lamp', or a JSON file of 9 x 3 harmonics.")
+    ] = "estimated",
+    size: Annotated[str, typer.Option(help="Width x height in pixels.")] = "720x900",
+    still: Annotated[bool, typer.Option("--still", help="Leave out the details that follow the expression.")] = False,
+) -> None:
+    """The avatar driven by weights, as a video."""
+    from avatarbuild.animation import clip
+
+    width, cross, height = size.lower().partition("x")
+    if not (cross and width.strip().isdigit() and height.strip().isdigit()):
+        raise InputError(f"--size {size} is not of the form 720x900")
+    project, pixels = _existing(project_folder), (int(width), int(height))
+    frames = clip.animate(project, table, output, Bars(), fps=fps, light=light, size=pixels, still=still)
+    screen.print(f"{output}: {frames} frames")
+
+
+@app.command("transfer-details")
+def transfer_details(
+    source: Annotated[Path, typer.Argument(metavar="FROM", help="Project whose details are taken.")],
+    target: Annotated[Path, typer.Argument(metavar="TO", help="Project whose avatar gets them.")],
+) -> None:
+    """Put one person's details on another's avatar; TO keeps its own neutral normal map."""
+    from avatarbuild.details import transfer
+
+    count = transfer.transfer_details(_existing(source), _existing(target))
+    screen.print(f"{target}: {count} files of details from {source}")
 
 
 @app.command()

@@ -73,14 +73,14 @@ def track(
     chosen = seen[np.unique(np.linspace(0, len(seen) - 1, _TRIED).round().astype(int))]
     pictures = video.decode_frames(path, clip.processed[chosen].tolist())
     number = {int(clip.processed[i]): int(i) for i in chosen}
-    frames = [kept_frame(clip, level, number[index], rgb) for index, _, rgb in pictures]
+    frames = [kept_frame(clip, level, face.markers, {}, number[index], rgb) for index, _, rgb in pictures]
     with progress.task("Lens and gaze", 1.0) as task:
         face, eyes, _ = alternation.begin(template, face, skin, frames, eyes, weights)
         task.advance(1.0)
     with progress.task("Every frame", len(clip.times)) as task:
         sightings = Sightings(clip.processed[seen], clip.frames.landmarks[seen])
         whole = full_rate.follow(
-            *(face, skin, template, eyes, sightings, [], level, video.decode_frames(path), weights, task.advance)
+            *(face, skin, template, eyes, sightings, [], level, video.decode_frames(path), weights, task.advance, {})
         )
     none = np.zeros(0)
     made = performance(*(template, clip, face.lens, rig, whole, none.astype(int), none.astype(bool), tracking.evidence))

@@ -17,6 +17,7 @@ from typing import Any
 import filelock
 
 from avatarbuild.errors import InputError
+from avatarbuild.formats.corrections import Corrections, read_corrections
 from avatarbuild.template_files import SHIPPED, TemplateFile, resolve
 
 _PARTIAL, _OLD = ".saving-", ".replaced-"
@@ -68,6 +69,19 @@ class Project:
     def folder(self, stage: str) -> Path:
         """Where a stage's artefact lives."""
         return self.root / stage_folder_name(stage)
+
+    @property
+    def corrections_file(self) -> Path:
+        """What the user has set by hand; it need not exist."""
+        return self.root / "corrections.json"
+
+    def corrections(self) -> Corrections:
+        """Raises InputError where the file is not what docs/formats.md describes."""
+        try:
+            data = self.corrections_file.read_bytes()
+        except FileNotFoundError:
+            return Corrections()
+        return read_corrections(data, str(self.corrections_file))
 
     def stamp(self, stage: str) -> dict[str, Any] | None:
         """What a finished stage left in its stamp.json; None where the stage has not been run."""

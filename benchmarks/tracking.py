@@ -6,17 +6,24 @@ AVATARBUILD_BENCHMARK=FOLDER stands for --truth FOLDER/truth_b --scorer FOLDER/s
 with `--set tracking.leave_out=3` the frames that taught nothing are shown apart. Rows: surface after a rigid motion a
 frame, corresponding points after one (and its parts across and along the line of sight), five skin points' drift in
 pixels; for the person's own shapes, the transferred ones at the same weights, and no expression at all.
+
+Trials (tracking_trials.py), each of which runs the stage several times and writes nothing into the project:
+python benchmarks/tracking.py PROJECT --truth TRUTH --scorer score.py --trial faults --capture CAPTURE [--seconds 34]
+… --trial corrections --capture CAPTURE; … --trial unseen (of 07-tracking as it is)
 """
 
 from __future__ import annotations
 
+import tempfile
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
+import tracking_trials
 from scoring import arguments, load_scorer, scored
 
-from avatarbuild.artefacts import Blendshapes, Performance
+from avatarbuild.artefacts import Blendshapes, Capture, Performance
 from avatarbuild.geometry.raster import project
 from avatarbuild.template import ARKIT_NAMES, Template
 from avatarbuild.tracking.lens import Lens
@@ -26,12 +33,29 @@ LEAST = 0.2  # channels of the truth that move by less are not judged
 
 
 def main() -> None:
-    a = scored(arguments(__doc__))
+    parser = arguments(__doc__)
+    parser.add_argument("--trial", choices=("faults", "corrections", "unseen"))
+    parser.add_argument("--capture", type=Path, help="the capture's folder, for faults and corrections")
+    parser.add_argument("--seconds", type=float, default=1e9, help="of the clip, from its beginning")
+    a = scored(parser)
     scorer, template = load_scorer(a.scorer), Template.load()
     truth = scorer.GT(str(a.truth))
+    if a.trial in ("faults", "corrections"):
+        rest, clip = Blendshapes.load(a.project / "06-blendshapes").neutral, Capture.load(a.project / "01-capture").clip
+        assert clip is not None
+        sight = Judge(scorer, truth, template, rest, Lens(clip.focal, 0.0, clip.size))
+        if a.trial == "corrections":
+            tracking_trials.corrections(a.project, a.capture, sight, template, a.seconds)
+        else:
+            with tempfile.TemporaryDirectory() as folder:
+                tracking_trials.faults(a.project, a.capture, sight, template, Path(folder), a.seconds)
+        return
     made = Performance.load(a.project / "07-tracking")
     transferred = Blendshapes.load(a.project / "06-blendshapes")
     sight = Judge(scorer, truth, template, transferred.neutral, Lens(made.focal, made.k1, made.size))
+    if a.trial == "unseen":
+        tracking_trials.unseen(sight, made, transferred, made.processed[made.modelled])
+        return
     groups = {"processed": made.processed, "all": np.arange(0, len(made.times), EVERY)}
     if not made.modelled.all():
         groups["left out"] = made.processed[~made.modelled]
@@ -80,7 +104,7 @@ class Judge:
         marks = template.landmarks(neutral / 1000)[template.landmarks68]
         head = {"V": neutral / 1000, "F": self.skin, "UV": None, "morph": {}}
         (size, R, t), _, _ = scorer.align_neutral(head, truth, marks, False)
-        self.size = size / 1000
+        self.size, self.turn = size / 1000, R
         self.points = np.unique(np.concatenate([truth.narrow[::3], truth.lm[17:]]))
         surface = scorer.Surface(self.size * neutral @ R.T + t, self.skin)
         _, self.triangle, self.share, _ = surface.closest(truth.V[self.points])
@@ -95,6 +119,11 @@ class Judge:
             lm[27],  # bridge of the nose
         )
         self.five = [int(np.linalg.norm(truth.V[self.points] - p, axis=1).argmin()) for p in five]
+
+    def moved(self, deltas: np.ndarray) -> np.ndarray:
+        """Displacements (n, 3) of the avatar at the truth's points, in the truth's axes."""
+        own = (deltas[self.skin[self.triangle]] * self.share[..., None]).sum(axis=1)
+        return self.size * own @ self.turn.T
 
     def frame(
         self, f: int, posed: np.ndarray, R: np.ndarray, t: np.ndarray

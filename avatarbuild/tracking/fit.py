@@ -19,7 +19,7 @@ from avatarbuild.tracking.frames import Frame
 from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.markers import SKIN, Markers
 from avatarbuild.tracking.markers import rows as marker_rows
-from avatarbuild.tracking.rig import Rider, Rig
+from avatarbuild.tracking.rig import Places, Rider, Rig
 from avatarbuild.tracking.samples import Samples, visible
 
 LEAST_ROWS = 20  # differences of the texture, fewer of which say nothing
@@ -35,6 +35,7 @@ class Weights:
 
     marker_sd: float = 1.5
     marker_reach: float = 10.0
+    click_sd: float = 0.4
     target_sd: float = 0.4
     target_reach: float = 1.5
     flow: float = 3000.0
@@ -109,11 +110,19 @@ def wearing(face: Face, rig: Rig) -> Face:
 
 
 def detected(face: Face, frame: Frame, w: Weights) -> list[Pinned]:
-    """The detector's points, if it found any."""
+    """The detector's points, if it found any, then the user's, if there are some."""
     if not np.isfinite(frame.presence):
         return []
-    worth = face.markers.weight * frame.presence / w.marker_sd**2
-    return [Pinned(face.markers, face.marker_rider, frame.marks[:SKIN, :2], worth, w.marker_reach)]
+    m, clicks = face.markers, frame.clicks
+    worth = m.weight * frame.presence / w.marker_sd**2
+    points = [Pinned(m, face.marker_rider, frame.marks[:SKIN, :2], worth, w.marker_reach)]
+    if clicks is not None:
+        at = clicks.points
+        places = Places(m.places.triangle[at], m.places.barycentric[at])
+        still = Markers(places, np.zeros((len(at), 3)), np.ones(len(at)), m.sliding[at])
+        worth = clicks.confidence / w.click_sd**2
+        points.append(Pinned(still, face.rig.rider(places), clicks.pixels, worth, w.marker_reach))
+    return points
 
 
 def found(face: Face, targets: dense.Targets, w: Weights) -> list[Pinned]:

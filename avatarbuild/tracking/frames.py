@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from avatarbuild.tracking.markers import SKIN
+from avatarbuild.tracking.markers import SKIN, Clicks
 from avatarbuild.tracking.samples import log_grey
 
 LEVELS = 4  # of the pyramid, each half the size of the one before
@@ -20,7 +20,7 @@ class Frame:
     """
     number among the decoded frames, time s; marks (478, 3) pixels of the detector and its presence, NaN where it found
     nothing; scores (a,) its opinion of the shapes' weights, NaN where it has none; low, high (a,) the weights' bounds;
-    corner (2,) pixels of the crop and its pyramid, finest first.
+    corner (2,) pixels of the crop and its pyramid, finest first; clicks: points that the user has set.
     """
 
     number: int
@@ -32,6 +32,7 @@ class Frame:
     high: np.ndarray
     corner: np.ndarray
     pyramid: list[np.ndarray]
+    clicks: Clicks | None = None
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,7 @@ def frame(
     marks: np.ndarray,
     presence: float,
     scores: np.ndarray,
+    clicks: Clicks | None = None,
 ) -> Frame:
     """The frame cropped to the detector's points, marks (478, 3); scores (a,). The weights' bounds are 0 and 1."""
     h, w = rgb.shape[:2]
@@ -69,4 +71,6 @@ def frame(
             grey = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
         pyramid.append(cv2.GaussianBlur(grey, (0, 0), _BLUR))
     a = len(scores)
-    return Frame(number, time, marks, presence, scores, np.zeros(a), np.ones(a), low.astype(np.float64), pyramid)
+    return Frame(
+        number, time, marks, presence, scores, np.zeros(a), np.ones(a), low.astype(np.float64), pyramid, clicks
+    )

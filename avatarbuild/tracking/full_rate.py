@@ -12,8 +12,10 @@ from avatarbuild.landmarks import region_about, trace
 from avatarbuild.parallel import each_alone
 from avatarbuild.template import Template
 from avatarbuild.tracking.alternation import Eyes, Skin, Tracked, aim, seek, settle
+from avatarbuild.tracking.corrections import shifted
 from avatarbuild.tracking.fit import Face, State, Weights
 from avatarbuild.tracking.frames import Frame, ScoreLevel, frame
+from avatarbuild.tracking.markers import Clicks
 
 # pixels of the face's crop, whatever the video's size; the shapes are known by now
 DENSE_SIDE = 256.0  # for dense flow
@@ -62,11 +64,12 @@ def follow(
     decoded: Iterator[tuple[int, float, np.ndarray]],
     w: Weights,
     advance: Callable[[float], None],
+    clicks: dict[int, Clicks],
 ) -> list[Found]:
     """
     All decoded frames (number, time, rgb) in order, but the lost ones. A processed one stays as it is; each of the
     others stands alone: the detector looks in the square where the face should be by the sightings before and after,
-    dense flow and equation (6) do the rest.
+    dense flow and equation (6) do the rest. `clicks`: what the user's points say of a frame.
     """
     known = {one.frame.number: one for one in processed if one.quality > 0}
 
@@ -78,7 +81,10 @@ def follow(
             seen = trace(rgb, region_about(sightings.expected(number)), careful=False)
             if seen.presence < LEAST_PRESENCE:
                 return None
-            here = frame(number, time, rgb, seen.points, seen.presence, level.of(seen.scores[: len(face.rig.deltas)]))
+            scores = level.of(seen.scores[: len(face.rig.deltas)])
+            told = clicks.get(number)
+            marks = seen.points if told is None else shifted(seen.points, told, face.markers)
+            here = frame(number, time, rgb, marks, seen.presence, scores, told)
             begun = settle(face, aim(face, here, eyes, w), template, eyes, w)
             one = seek(face, skin, begun, w, (fitting(here, FLOW_SIDE),), fitting(here, DENSE_SIDE))
         return Found(number, one.state, one.quality, one.gaze)

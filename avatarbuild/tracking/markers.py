@@ -36,6 +36,15 @@ class Markers:
     sliding: np.ndarray
 
 
+@dataclass(frozen=True)
+class Clicks:
+    """q points that the user has set: which of the detector's (q,), their pixels (q, 2), confidence (q,) in 0..1."""
+
+    points: np.ndarray
+    pixels: np.ndarray
+    confidence: np.ndarray
+
+
 def markers(template: Template, neutral: np.ndarray, photos: list[Photo], views: Views, usable: np.ndarray) -> Markers:
     """
     The detector's points on a person: neutral (n, 3), photos with their cameras in the head frame, `usable` (k,) bool

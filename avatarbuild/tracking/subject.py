@@ -15,10 +15,11 @@ from avatarbuild.template import ARKIT_NAMES, Template
 from avatarbuild.texture.photos import placed_in_head
 from avatarbuild.tracking import samples
 from avatarbuild.tracking.alternation import Eyes, Skin
+from avatarbuild.tracking.corrections import shifted
 from avatarbuild.tracking.fit import Face, face_of
 from avatarbuild.tracking.frames import LEVELS, Frame, ScoreLevel, frame
 from avatarbuild.tracking.lens import Lens
-from avatarbuild.tracking.markers import markers
+from avatarbuild.tracking.markers import Clicks, Markers, markers
 from avatarbuild.tracking.rig import Rig
 
 SHAPES = len(ARKIT_NAMES) - 1  # tongueOut, the last, moves no skin
@@ -81,19 +82,21 @@ def score_level(at_rest: np.ndarray, scores: np.ndarray) -> ScoreLevel:
     return ScoreLevel(np.quantile(at_rest, 0.1, axis=0), scores.max(axis=0) > LEAST_SCORE)
 
 
-def kept_frames(clip: Clip, level: ScoreLevel) -> list[Frame]:
-    """The frames that the capture kept, those without a face left out."""
+def kept_frames(clip: Clip, level: ScoreLevel, m: Markers, clicks: dict[int, Clicks]) -> list[Frame]:
+    """The frames that the capture kept, those without a face left out; `clicks`: what the user's points say of them."""
     views = clip.frames
     seen = np.flatnonzero(np.isfinite(views.presence))
 
     def one(i: int) -> Frame:
-        return kept_frame(clip, level, i, views.images[i].rgb())
+        return kept_frame(clip, level, m, clicks, i, views.images[i].rgb())
 
     return list(in_order(one, [int(i) for i in seen]))
 
 
-def kept_frame(clip: Clip, level: ScoreLevel, i: int, rgb: np.ndarray) -> Frame:
+def kept_frame(clip: Clip, level: ScoreLevel, m: Markers, clicks: dict[int, Clicks], i: int, rgb: np.ndarray) -> Frame:
     """The i-th of the frames that a clip keeps, its picture `rgb`."""
     number, views = int(clip.processed[i]), clip.frames
     scores = level.of(views.scores[i, :SHAPES])
-    return frame(number, float(clip.times[number]), rgb, views.landmarks[i], float(views.presence[i]), scores)
+    told = clicks.get(number)
+    marks = views.landmarks[i] if told is None else shifted(views.landmarks[i], told, m)
+    return frame(number, float(clip.times[number]), rgb, marks, float(views.presence[i]), scores, told)
