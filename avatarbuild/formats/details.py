@@ -89,9 +89,10 @@ def read_details(files: Mapping[str, bytes], template: Template) -> Synthesis:
                 f"{JSON_FILE} has version {about['version']}, {DETAILS_VERSION} is needed: make the avatar's details "
                 "again with this program"
             )
-        if about["template"]["name"] != template.name:
+        if about["template"] != {"name": template.name, "version": template.version}:
+            named = f"'{about['template']['name']}' {about['template']['version']}"
             raise InputError(
-                f"{JSON_FILE} was made for the template '{about['template']['name']}', not '{template.name}': details "
+                f"{JSON_FILE} was made for the template {named}, not '{template.name}' {template.version}: details "
                 "move between avatars of one template only"
             )
         return _read(about, files, template)
