@@ -20,7 +20,7 @@ from avatarbuild.stages import tracking
 from avatarbuild.template import ARKIT_NAMES, Template, expression_weights
 from avatarbuild.tracking import dense, fit, full_rate, gaze, modelling
 from avatarbuild.tracking import markers as marking
-from avatarbuild.tracking.alternation import Tracked, evidence
+from avatarbuild.tracking.alternation import Tracked, as_shown, evidence
 from avatarbuild.tracking.fit import Face, Pinned, State, Weights
 from avatarbuild.tracking.frames import Frame
 from avatarbuild.tracking.lens import Lens
@@ -339,6 +339,16 @@ def test_evidence() -> None:
     assert evidence([one], np.zeros(1, bool), rig()).max() == 0
     poor = replace(one, quality=0.1)
     assert evidence([poor], np.ones(1, bool), rig()).max() == 0
+
+
+def test_what_the_video_hardly_shows_stays_as_it_was_transferred() -> None:
+    base = rig()
+    learnt = replace(base, deltas=base.deltas + 1.0)
+    found = np.linspace(0, 1, A)
+    moved_ = (as_shown(learnt, base, found).deltas - base.deltas)[:, 0, 0]
+    assert (moved_[found <= 0.25] == 0).all()
+    np.testing.assert_allclose(moved_[found >= 0.6], 1)
+    assert (np.diff(moved_) >= -1e-12).all()
 
 
 def test_without_a_video_the_shapes_are_the_transferred_ones() -> None:

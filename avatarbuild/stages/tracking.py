@@ -87,13 +87,14 @@ def run(
         )
     evidence = np.zeros(len(ARKIT_NAMES))
     evidence[:SHAPES] = alternation.evidence(tracked, teaching, transferred)
-    rig, contacts = kept(template, blendshapes, face.rig)
+    shown = alternation.as_shown(face.rig, transferred, evidence[:SHAPES])
+    rig, contacts = kept(template, blendshapes, shown)
     face = wearing(face, replace(rig, deltas=rig.deltas[:SHAPES]))
     with progress.task("Every frame", len(clip.times)) as task:
         sightings = Sightings.of([one.frame for one in tracked if one.quality > 0])
         whole = full_rate.follow(
             *(face, skin, template, eyes, sightings, tracked, level),
-            *(video.decode_frames(path), weights, task.advance, clicks),
+            *(video.decode_frames(path, range(len(clip.times))), weights, task.advance, clicks),
         )
     numbers = np.array([one.number for one in frames])
     made = performance(

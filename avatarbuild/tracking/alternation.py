@@ -34,6 +34,7 @@ _STEPS = 3
 _SURE = 0.6  # quality from which a frame may tell about the lens
 _LENS_FRAMES = 6
 _ALIKE = 0.02  # of a point's square: neighbouring points err alike, fifty of them count as one
+_HARDLY, _WELL = 0.25, 0.6  # of the evidence
 _WORSE = 0.35  # quality below which a frame teaches nothing
 
 
@@ -226,6 +227,15 @@ def _teachers(tracked: list[Tracked], teaching: np.ndarray) -> list[Tracked]:
 def _posed(face: Face, tracked: list[Tracked]) -> np.ndarray:
     """(F, p, 3) the detector's points on the posed head."""
     return np.stack([face.marker_rider.at(one.state.weights) for one in tracked])
+
+
+def as_shown(learnt: Rig, base: Rig, found: np.ndarray) -> Rig:
+    """
+    B*_j + s_j (B_j - B*_j) with s_j from 0 to 1 where the evidence `found` (a,) goes from _HARDLY to _WELL: what the
+    video hardly shows stays as it was transferred, `base`. Below, learnt shapes were farther from the truth than these.
+    """
+    share = np.clip((found - _HARDLY) / (_WELL - _HARDLY), 0, 1)[:, None, None]
+    return replace(learnt, deltas=base.deltas + share * (learnt.deltas - base.deltas))
 
 
 def evidence(tracked: list[Tracked], teaching: np.ndarray, base: Rig) -> np.ndarray:
