@@ -94,7 +94,7 @@ def frame(
     refined: Refined = model.refined
     matrix: sp.csr_matrix = refined.matrix
     vertices = (matrix @ posed - PIVOT) @ turn.T + PIVOT
-    seen = look(vertices, refined.triangles, view, factor)
+    seen = look(vertices, refined.triangles, view, factor, cull=True)
     triangle, barycentric = seen.raster.triangle, seen.raster.barycentric
     normals = vertex_normals(vertices, refined.triangles)
     split = vertex_tangents(vertices[model.vertex_of_uv], normals[model.vertex_of_uv], refined.uv, refined.uv_triangles)

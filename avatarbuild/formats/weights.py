@@ -54,11 +54,13 @@ def read_weights(path: Path) -> WeightsTable:
 
 
 def head_rotations(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
-    """(f, 3, 3) in the head's axes at rest: A Rz(roll) Rx(pitch) Ry(yaw) A, A = diag(1, -1, -1); radians."""
-    flip = np.diag([1.0, -1.0, -1.0])
-    z, x, y = np.eye(3)[[2, 0, 1]]
-    turns = zip(roll, pitch, yaw, strict=True)
-    return np.stack([flip @ rotation(r * z) @ rotation(p * x) @ rotation(w * y) @ flip for r, p, w in turns])
+    """
+    (f, 3, 3) Rz(-roll) Rx(-pitch) Ry(yaw) in the head's axes at rest, of angles (f,) in radians: yaw positive to the
+    subject's left, pitch up, roll where the crown leans to the subject's left, as `geometry.head_pose.head_angles`.
+    """
+    x, y, z = np.eye(3)
+    turns = zip(yaw, pitch, roll, strict=True)
+    return np.stack([rotation(-r * z) @ rotation(-p * x) @ rotation(w * y) for w, p, r in turns])
 
 
 def _column(path: Path, rows: list[list[str]], column: int) -> np.ndarray:
