@@ -15,6 +15,7 @@ _IRISES = (IRIS_LEFT.start, IRIS_RIGHT.start)  # the detector's middle of the le
 _IRIS_DEPTH = 10.4 / 12  # of the eyeball's radius: from its centre to the plane of the iris
 _SIDES = ("Left", "Right")
 _LEAST_RADIUS = 5.0  # pixels
+_ROOM = 4.0  # radii about the iris that its rim is looked for in
 _LEAST_SHOWN = 0.4  # of the angles that lids leave free
 _ALIKE = 0.25  # how far the rim's radius may be from the detector's
 
@@ -24,16 +25,21 @@ def irises(frame: Frame) -> np.ndarray:
     (2, 2) pixels: the middles of the left and right iris, by their rims in the frame where these show, else as the
     detector has them: it sees an eye look aside, but hardly up or down.
     """
-    picture = 255 * np.maximum(np.exp(frame.pyramid[0]) - DARK, 0) ** (1 / 2.2)
     out = np.empty((2, 2))
     for side, middle in enumerate(_IRISES):
         mark, rim = frame.marks[middle, :2], frame.marks[[middle + 1, middle + 3], :2]
         radius = float(np.linalg.norm(rim[0] - rim[1])) / 2
         out[side] = mark
         if radius >= _LEAST_RADIUS:
-            found, size, shown = iris_circle(picture, mark - frame.corner, radius)
+            low = np.maximum(np.floor(mark - frame.corner - _ROOM * radius), 0).astype(int)
+            end = low + int(2 * _ROOM * radius) + 2
+            window = frame.pyramid[0][low[1] : end[1], low[0] : end[0]]
+            if min(window.shape) < radius:
+                continue
+            picture = 255 * np.maximum(np.exp(window) - DARK, 0) ** (1 / 2.2)
+            found, size, shown = iris_circle(picture, mark - frame.corner - low, radius)
             if shown >= _LEAST_SHOWN and abs(size / radius - 1) < _ALIKE:
-                out[side] = found + frame.corner
+                out[side] = found + frame.corner + low
     return out
 
 
