@@ -463,6 +463,25 @@ class Refinement:
 
 
 @dataclass(frozen=True)
+class Details:
+    """
+    The dynamic details in their written form (docs/formats.md): file name -> bytes of details.json and its pictures,
+    and frames/normals_%04d.npz on request; no files without a video.
+    """
+
+    files: dict[str, bytes]
+    figures: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+    def save(self, folder: Path) -> None:
+        _write_files(folder, self.files)
+
+    @staticmethod
+    def load(folder: Path) -> Details:
+        return Details(_read_files(folder))
+
+
+@dataclass(frozen=True)
 class Avatar:
     """The deliverables: file name -> bytes (avatar.glb, avatar.json, report.html, …)."""
 
@@ -471,15 +490,23 @@ class Avatar:
     warnings: list[str] = field(default_factory=list)
 
     def save(self, folder: Path) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, data in self.files.items():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / name).write_bytes(data)
+        _write_files(folder, self.files)
 
     @staticmethod
     def load(folder: Path) -> Avatar:
-        files = [path for path in sorted(folder.rglob("*")) if path.is_file() and path.name != "stamp.json"]
-        return Avatar({path.relative_to(folder).as_posix(): path.read_bytes() for path in files})
+        return Avatar(_read_files(folder))
+
+
+def _write_files(folder: Path, files: dict[str, bytes]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, data in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+
+
+def _read_files(folder: Path) -> dict[str, bytes]:
+    files = [path for path in sorted(folder.rglob("*")) if path.is_file() and path.name != "stamp.json"]
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
 def _write_json(path: Path, value: Any) -> None:

@@ -257,7 +257,7 @@ def track(
 
     writer = track_bytes(output)
     project = _existing(project_folder)
-    needed = ("capture", "cameras", "neutral", "albedo", "blendshapes", "tracking")
+    needed = ("capture", "cameras", "neutral", "albedo", "blendshapes", "tracking", "refinement")
     stale = [line for line in _states(project, alone=True) if line.name in needed and line.state != "fresh"]
     if stale:
         found = ", ".join(f"stage {line.name} is {line.state}" for line in stale)

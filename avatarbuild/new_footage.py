@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from avatarbuild import faces
-from avatarbuild.artefacts import Albedo, Blendshapes, Cameras, Capture, Neutral, Performance
+from avatarbuild.artefacts import Albedo, Blendshapes, Cameras, Capture, Neutral, Performance, Refinement
 from avatarbuild.errors import InputError
 from avatarbuild.faces import Identity, Look, candidate
 from avatarbuild.footage import read_clip
@@ -43,14 +43,15 @@ def track(
     albedo: Albedo,
     blendshapes: Blendshapes,
     tracking: Performance,
+    refinement: Refinement,
     options: CaptureOptions,
     progress: Progress,
     template: Template,
     path: Path,
 ) -> Performance:
     """
-    The performance in the video at `path`; `tracking`: what stage tracking made, whose rig it is (the transferred one
-    where there was no video). The video is read three times, so that its length takes no memory.
+    The performance in the video at `path`; `tracking`: what stage tracking made of the capture's video; the rig is that
+    of stage refinement. The video is read three times, so that its length takes no memory.
 
     Raises InputError for what is no video, shows nobody, or another person.
     """
@@ -65,7 +66,7 @@ def track(
     if len(seen) < LEAST_FRAMES:
         found = "no face" if not len(seen) else f"a face in only {len(seen)} of {len(clip.processed)} frames"
         raise InputError(f"{path} shows {found}: at least {LEAST_FRAMES} frames that show it are needed, name another")
-    rig = replace(blendshapes, neutral=tracking.neutral, deltas=tracking.deltas)
+    rig = replace(blendshapes, neutral=refinement.neutral, deltas=refinement.deltas)
     lens = Lens(clip.focal, 0.0, clip.size)
     face, skin, eyes = subject(capture, cameras, neutral, albedo, rig, template, lens, clip.frames)
     level = score_level(_at_rest(capture), said(clip.frames))

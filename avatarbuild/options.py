@@ -140,6 +140,18 @@ class RefinementOptions:
 
 
 @dataclass(frozen=True)
+class DetailsOptions:
+    """Wrinkles of every frame, and what makes them for any expression."""
+
+    pixel: float = option(0.5, "mm", "What a pixel of the relief covers on the face.", draft=1.0, least=0.1)
+    side: int = option(1024, "texels", "Side of the detail maps: a multiple of 16.", draft=512, least=64)
+    keyframes: int = option(6, "frames", "Expressions that all details are mixed from.", least=1)
+    save_frames: str = option(
+        "", NAMES, "Frames of the video (numbers with commas between them) whose normals are saved at its full size."
+    )
+
+
+@dataclass(frozen=True)
 class AvatarOptions:
     """avatar.glb and avatar.json."""
 
@@ -157,6 +169,7 @@ STAGE_OPTIONS: dict[str, type] = {
     "blendshapes": BlendshapesOptions,
     "tracking": TrackingOptions,
     "refinement": RefinementOptions,
+    "details": DetailsOptions,
     "avatar": AvatarOptions,
 }
 

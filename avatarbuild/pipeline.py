@@ -91,8 +91,17 @@ STAGES = (
         "the expressions refined by the light on the skin",
     ),
     Stage(
+        "details",
+        ("capture", "albedo", "tracking", "refinement"),
+        artefacts.Details,
+        options.DetailsOptions,
+        1,
+        "wrinkles that follow the expression",
+        watches=True,
+    ),
+    Stage(
         "avatar",
-        ("capture", "cameras", "points", "neutral", "albedo", "blendshapes", "tracking", "refinement"),
+        ("capture", "cameras", "points", "neutral", "albedo", "blendshapes", "tracking", "refinement", "details"),
         artefacts.Avatar,
         options.AvatarOptions,
         1,
@@ -101,7 +110,7 @@ STAGES = (
     ),
 )
 # those that work on the template: no face, no sense
-HEAD_STAGES = ("neutral", "albedo", "blendshapes", "tracking", "refinement", "avatar")
+HEAD_STAGES = ("neutral", "albedo", "blendshapes", "tracking", "refinement", "details", "avatar")
 NAMES = [stage.name for stage in STAGES]
 
 

@@ -28,6 +28,7 @@ from avatarbuild.artefacts import (
     Capture,
     Clip,
     Cloud,
+    Details,
     Neutral,
     Performance,
     Refinement,
@@ -128,7 +129,7 @@ def refined() -> Refinement:
 
 @cache
 def built() -> Avatar:
-    return avatar.run(*person(), refined(), OPTIONS, Silent(), synthetic.template())
+    return avatar.run(*person(), refined(), Details({}), OPTIONS, Silent(), synthetic.template())
 
 
 @cache
@@ -140,6 +141,7 @@ def animated() -> Avatar:
         *rest,
         played(),
         untouched(played(), []),
+        Details({}),
         OPTIONS,
         Silent(),
         synthetic.template(),
@@ -207,7 +209,7 @@ def test_size() -> None:
 
 
 def test_same_bytes_twice() -> None:
-    assert avatar.run(*person(), refined(), OPTIONS, Silent(), synthetic.template()).files == built().files
+    assert avatar.run(*person(), refined(), Details({}), OPTIONS, Silent(), synthetic.template()).files == built().files
 
 
 # the contract
@@ -427,7 +429,7 @@ def test_provenance() -> None:
 def test_photos_alone_give_a_whole_avatar() -> None:
     capture, *rest = person()
     made = avatar.run(
-        dataclasses.replace(capture, clip=None), *rest, refined(), OPTIONS, Silent(), synthetic.template()
+        dataclasses.replace(capture, clip=None), *rest, refined(), Details({}), OPTIONS, Silent(), synthetic.template()
     )
     assert made.files["avatar.glb"] == built().files["avatar.glb"]
     assert about(made)["capture"]["video"] is None

@@ -25,6 +25,7 @@ from avatarbuild.landmarks import Face
 from avatarbuild.options import CaptureOptions
 from avatarbuild.pipeline import StageState
 from avatarbuild.progress import Silent
+from avatarbuild.stages.refinement import untouched
 from avatarbuild.template import ARKIT_NAMES, Template, expression_weights
 from avatarbuild.tracking import full_rate, subject
 from avatarbuild.tracking.lens import Lens
@@ -121,6 +122,7 @@ def project() -> dict[str, object]:
         "albedo": skin,
         "blendshapes": transferred,
         "tracking": nothing(shapes()),
+        "refinement": untouched(nothing(shapes()), []),
     }
 
 

@@ -62,5 +62,12 @@ def clip_light(frames: list[tuple[Drawn, np.ndarray, np.ndarray]]) -> Light:
     return Light(y, gains)
 
 
+def exposure(light: Light, drawn: Drawn, grey: np.ndarray, more: np.ndarray) -> float:
+    """The gain of one more frame under the clip's light."""
+    at = np.nonzero(drawn.on & (grey < _SATURATED))
+    expected = light.shade(drawn.normal[at]) * np.exp(drawn.tone[at] + more[at])
+    return _exposure(expected, np.maximum(grey[at], _DARK))
+
+
 def _exposure(expected: np.ndarray, grey: np.ndarray) -> float:
     return float(np.exp(np.median(np.log(grey / expected)))) if len(grey) else 1.0

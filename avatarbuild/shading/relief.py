@@ -57,7 +57,7 @@ class ReliefWeights:
 
 MEDIUM = ReliefWeights(light=3.0, small=0.01, slope=0.3, bend=1.0, scatter=0.0)
 """For the refinement of shapes: what a mesh of a few millimetres' spacing can follow; scattered light is finer."""
-FINE = ReliefWeights(light=0.1, small=5e-4, slope=0.1, bend=0.1)
+FINE = ReliefWeights(light=0.3, small=0.01, slope=0.3, bend=0.1)
 """For detail maps."""
 
 
@@ -98,14 +98,14 @@ def relief(drawn: Drawn, seen: np.ndarray, light: Light, lens: Lens, w: ReliefWe
 
     for turn in range(w.rounds):
         along_x, along_y, light_now = ways.slopes(d, light)
-        # the blur mixes light only; each pixel's share scales what is left
+        # the blur goes over shares of the light: dark pixels must not hang on what their bright neighbours change
         error = (_scattered(light_now * on, w.scatter / ways.pixel) - held * seen) * share
 
         def change(x: np.ndarray, ax: np.ndarray = along_x, ay: np.ndarray = along_y) -> np.ndarray:
-            return _scattered((ax * _dx(x) + ay * _dy(x)) * on, w.scatter / ways.pixel) * share
+            return _scattered((ax * _dx(x) + ay * _dy(x)) * share, w.scatter / ways.pixel)
 
         def change_t(e: np.ndarray, ax: np.ndarray = along_x, ay: np.ndarray = along_y) -> np.ndarray:
-            spread = _scattered(e * share, w.scatter / ways.pixel) * on
+            spread = _scattered(e, w.scatter / ways.pixel) * share
             return _dx_t(ax * spread) + _dy_t(ay * spread)
 
         if w.sharp > 0 and turn:

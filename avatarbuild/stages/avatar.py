@@ -12,7 +12,18 @@ from typing import Any
 import numpy as np
 
 from avatarbuild import __version__
-from avatarbuild.artefacts import Albedo, Avatar, Blendshapes, Cameras, Capture, Cloud, Neutral, Performance, Refinement
+from avatarbuild.artefacts import (
+    Albedo,
+    Avatar,
+    Blendshapes,
+    Cameras,
+    Capture,
+    Cloud,
+    Details,
+    Neutral,
+    Performance,
+    Refinement,
+)
 from avatarbuild.formats import avatar_glb
 from avatarbuild.formats.images import encode_jpeg, encode_png
 from avatarbuild.formats.track import track_csv, track_json
@@ -33,6 +44,7 @@ def run(
     blendshapes: Blendshapes,
     performance: Performance,
     refinement: Refinement,
+    details: Details,
     options: AvatarOptions,
     progress: Progress,
     template: Template,
@@ -63,6 +75,7 @@ def run(
         "blendshapes": blendshapes,
         "tracking": performance,
         "refinement": refinement,
+        "details": details,
     }
     files = {
         "avatar.glb": made.glb,
@@ -71,6 +84,7 @@ def run(
     }
     if len(performance.times):
         files |= {"track.json": track_json(performance), "track.csv": track_csv(performance)}
+    files |= {f"details/{name}": data for name, data in details.files.items() if not name.startswith("frames/")}
     about = provenance(template, capture, cameras, performance, made, stages, files)
     files |= {
         "avatar.json": (json.dumps(about, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode(),

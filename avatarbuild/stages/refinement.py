@@ -18,7 +18,7 @@ from avatarbuild.rigging import kept
 from avatarbuild.shading import registration
 from avatarbuild.shading.observation import View, Watched, watch
 from avatarbuild.shading.relief import MEDIUM, light_seen, relief
-from avatarbuild.shading.surface import factor_for, fine_skin
+from avatarbuild.shading.surface import FineSkin, factor_for, fine_skin
 from avatarbuild.template import Template
 from avatarbuild.texture import occlusion
 from avatarbuild.tracking.fit import State
@@ -51,9 +51,8 @@ def run(
     rig = Rig(performance.neutral, performance.deltas[:shapes].astype(np.float64), template.triangles)
     lens = Lens(performance.focal, performance.k1, performance.size)
     states = [state_of(performance, int(performance.processed[row]), shapes) for row in rows]
-    watched = watched_clip(
-        capture, albedo, performance, rows, template, options.pixel, progress, "Frames and their light"
-    )
+    skin = fine_skin_of(albedo, performance, template)
+    watched = watched_clip(capture, performance, rows, template, skin, options.pixel, progress, "The light on the face")
 
     def asked(k: int) -> registration.Planes:
         one = watched.frames[k]
@@ -102,12 +101,18 @@ def state_of(performance: Performance, frame: int, shapes: int) -> State:
     return State(performance.rotation[frame], performance.translation[frame], performance.weights[frame][:shapes])
 
 
+def fine_skin_of(albedo: Albedo, performance: Performance, template: Template) -> FineSkin:
+    """The skin to draw, with the openness of the head at rest."""
+    open_, _ = occlusion.of_vertices(performance.neutral, template.triangles, template.parts["skin"].vertices)
+    return fine_skin(template, albedo.albedo, open_)
+
+
 def watched_clip(
     capture: Capture,
-    albedo: Albedo,
     performance: Performance,
     rows: np.ndarray,
     template: Template,
+    skin: FineSkin,
     pixel: float,
     progress: Progress,
     title: str,
@@ -116,8 +121,6 @@ def watched_clip(
     assert capture.clip is not None
     images = capture.clip.frames.images
     lens = Lens(performance.focal, performance.k1, performance.size)
-    open_, _ = occlusion.of_vertices(performance.neutral, template.triangles, template.parts["skin"].vertices)
-    skin = fine_skin(template, albedo.albedo, open_)
     views = [posed(performance, int(performance.processed[row]), int(row)) for row in rows]
     first = views[0]
     factor = factor_for(template, first.vertices, lens, first.R, first.t, pixel)

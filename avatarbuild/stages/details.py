@@ -1,0 +1,197 @@
+"""Stage details: wrinkles of every good frame by shape from shading, and what makes them for any expression.
+
+Source: method, sections 6 and 7 [Ichim et al. 2015, sections 5.2 and 6].
+"""
+
+from __future__ import annotations
+
+import io
+import logging
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from avatarbuild.artefacts import Albedo, Capture, Details, Performance, Refinement
+from avatarbuild.details.ambient_occlusion import ambient_occlusion
+from avatarbuild.details.synthesis import Synthesis, train
+from avatarbuild.errors import InputError
+from avatarbuild.formats import video
+from avatarbuild.formats.details import details_files
+from avatarbuild.options import DetailsOptions
+from avatarbuild.parallel import each_alone
+from avatarbuild.progress import Progress
+from avatarbuild.shading import maps
+from avatarbuild.shading.light import exposure
+from avatarbuild.shading.observation import Seen, Watched, align, moved
+from avatarbuild.shading.relief import FINE, Relief, light_seen, relief
+from avatarbuild.shading.surface import FineSkin, draw, picture
+from avatarbuild.stages.refinement import LEAST_FRAMES, fine_skin_of, good_frames, posed, watched_clip
+from avatarbuild.template import Template
+from avatarbuild.tracking.lens import Lens
+
+log = logging.getLogger(__name__)
+
+
+def run(
+    capture: Capture,
+    albedo: Albedo,
+    performance: Performance,
+    refinement: Refinement,
+    options: DetailsOptions,
+    progress: Progress,
+    template: Template,
+    source: Path,
+) -> Details:
+    """
+    The dynamic detail maps of the video, none without enough good frames.
+
+    Raises InputError where `save_frames` names frames that the video does not have, or the video is gone.
+    """
+    performance = replace(performance, neutral=refinement.neutral, deltas=refinement.deltas)
+    saved = frame_numbers(options.save_frames, len(performance.times))
+    rows = good_frames(performance)
+    if capture.clip is None or len(rows) < LEAST_FRAMES:
+        warnings = []
+        if len(performance.times):
+            warnings.append(f"{len(rows)} good frames: {LEAST_FRAMES} are needed for wrinkles; there are none")
+        return Details({}, {"frames": 0}, warnings)
+    lens = Lens(performance.focal, performance.k1, performance.size)
+    skin = fine_skin_of(albedo, performance, template)
+    watched = watched_clip(capture, performance, rows, template, skin, options.pixel, progress, "The light on the skin")
+    chart = maps.face_chart(template, options.side)
+    heads = [posed(performance, int(performance.processed[row]), int(row)) for row in rows]
+    open_ = occlusion_of(chart, maps.frames(chart, performance.neutral), performance.neutral, None)
+
+    def layers(k: int) -> tuple[np.ndarray, np.ndarray]:
+        one, head = watched.frames[k], heads[k]
+        found = wrinkles(one, watched, float(watched.light.gains[k]), lens)
+        axes = maps.frames(chart, head.vertices)
+        normal, sure, height = maps.tangent_normals(axes, one.drawn, found, lens, head.R, head.t)
+        bent = normal[:, :1] * axes.tangent + normal[:, 1:2] * axes.bitangent + normal[:, 2:] * axes.normal
+        raised = axes.position + (height * sure)[:, None] * axes.normal
+        shade = occlusion_of(chart, axes, head.vertices, (raised, bent)) / np.maximum(open_, 0.1)
+        stacked = np.concatenate([normal, np.clip(shade, 0, 1)[:, None]], axis=1)
+        return chart.map(stacked, np.array([0, 0, 1, 1])).astype(np.float16), chart.map(sure, 0.0).astype(np.float16)
+
+    made = []
+    with progress.task("Wrinkles of every frame", len(rows)) as task:
+        for one in each_alone(layers, range(len(rows))):
+            made.append(one)
+            task.advance()
+    with progress.task("What makes them", 1) as task:
+        vertices = np.stack([head.vertices for head in heads])
+        synthesis = train(
+            lambda f: made[f][0].astype(np.float32),
+            lambda f: made[f][1].astype(np.float32),
+            *(vertices, performance.neutral, template),
+            count=min(options.keyframes, len(rows)),
+        )
+        task.advance()
+    files = details_files(synthesis)
+    if saved:
+        path = source / capture.clip.file
+        if not path.is_file():
+            raise InputError(f"the video {path} is gone: put it back, or run without details.save_frames")
+        with progress.task("Normals of frames", len(saved)) as task:
+            for number, normals in frame_normals(path, saved, performance, skin, watched, lens):
+                files[f"frames/normals_{number:04d}.npz"] = _npz(normals)
+                task.advance()
+    figures = {
+        "frames": len(rows),
+        "pixel_frame_px": watched.frames[0].drawn.factor,
+        "keyframes": synthesis.keys.count,
+        "tilt_degrees": tilt(made),
+        "misfit_degrees": misfit(synthesis, made, vertices),
+    }
+    log.info("details: %s", figures)
+    return Details(files, figures, [])
+
+
+def frame_numbers(text: str, count: int) -> list[int]:
+    """The frames named in a list with commas, in order. Raises InputError for what is no frame of the video."""
+    numbers = []
+    for word in (part.strip(" []") for part in text.split(",")):
+        if not word:
+            continue
+        if not word.isdigit() or int(word) >= max(count, 1):
+            raise InputError(f"details.save_frames names '{word}': numbers from 0 to {count - 1} are needed")
+        numbers.append(int(word))
+    return sorted(set(numbers))
+
+
+def wrinkles(one: Seen, watched: Watched, gain: float, lens: Lens) -> Relief:
+    """The fine relief of a frame."""
+    return relief(one.drawn, light_seen(one.drawn, one.grey, gain, watched.more(one.drawn)), watched.light, lens, FINE)
+
+
+def occlusion_of(
+    chart: maps.FaceChart, axes: maps.Frames, vertices: np.ndarray, raised: tuple[np.ndarray, np.ndarray] | None
+) -> np.ndarray:
+    """(t,) equation (15) at the face's texels of a posed head, with positions and normals (t, 3) that stand there."""
+    template, whole = chart.template, chart.chart
+    skin = whole.part == 1
+    position = whole.field(vertices.astype(np.float32), template.triangles)
+    normal = whole.field(maps.vertex_normals(vertices, template.triangles).astype(np.float32), template.triangles)
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
+    if raised is not None:
+        position.reshape(-1, 3)[chart.flat], normal.reshape(-1, 3)[chart.flat] = raised
+    wanted = np.zeros(whole.size * whole.size, bool)
+    wanted[chart.flat] = True
+    return ambient_occlusion(position, normal, skin, wanted.reshape(skin.shape)).reshape(-1)[chart.flat]
+
+
+def frame_normals(
+    path: Path, numbers: list[int], performance: Performance, skin: FineSkin, watched: Watched, lens: Lens
+) -> Iterator[tuple[int, np.ndarray]]:
+    """Number and (H, W, 3) float16 normals in OpenCV's camera axes of decoded frames, zero where there is no head."""
+    factor = watched.frames[0].drawn.factor
+    for number, _, rgb in video.decode_frames(path, numbers):
+        head = posed(performance, number, 0)
+        drawn = draw(skin, head.vertices, lens, head.R, head.t, factor)
+        grey = picture(drawn, rgb)
+        more = watched.more(drawn)
+        gain = exposure(watched.light, drawn, grey, more)
+        seen = align(0, drawn, grey, watched.light, gain, more)
+        found = wrinkles(seen, watched, gain, lens)
+        whole = draw(skin, head.vertices, lens, head.R, head.t, 1, whole=True)
+        change = moved((found.normal - drawn.normal) * drawn.on[..., None], -seen.flow)
+        (w, h), (x, y) = drawn.size, drawn.corner.astype(int)
+        normal = whole.normal.copy()
+        part = normal[y : y + h * factor, x : x + w * factor]
+        part += cv2.resize(change, (part.shape[1], part.shape[0]), interpolation=cv2.INTER_LINEAR) * (
+            np.abs(part).sum(axis=-1, keepdims=True) > 0
+        )
+        normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
+        yield number, normal.astype(np.float16)
+
+
+def tilt(made: list[tuple[np.ndarray, np.ndarray]]) -> float:
+    """Degrees: how far the maps' normals lean, mean over all texels that are seen."""
+    lean, weight = 0.0, 0.0
+    for layers, sure in made:
+        s = sure.astype(np.float32)
+        lean += float((np.degrees(np.arccos(np.clip(layers[..., 2].astype(np.float32), -1, 1))) * s).sum())
+        weight += float(s.sum())
+    return round(lean / max(weight, 1e-9), 2)
+
+
+def misfit(synthesis: Synthesis, made: list[tuple[np.ndarray, np.ndarray]], vertices: np.ndarray) -> float:
+    """Degrees between the frames' own normals and the synthesised ones, mean over what is seen."""
+    off, weight = 0.0, 0.0
+    for (layers, sure), head in zip(made, vertices, strict=True):
+        again = synthesis.evaluate(synthesis.strain_of(head))[..., :3]
+        own = layers[..., :3].astype(np.float32)
+        own /= np.maximum(np.linalg.norm(own, axis=-1, keepdims=True), 1e-9)
+        s = sure.astype(np.float32)
+        off += float((np.degrees(np.arccos(np.clip((again * own).sum(axis=-1), -1, 1))) * s).sum())
+        weight += float(s.sum())
+    return round(off / max(weight, 1e-9), 2)
+
+
+def _npz(normals: np.ndarray) -> bytes:
+    out = io.BytesIO()
+    np.savez_compressed(out, normal=normals)
+    return out.getvalue()
