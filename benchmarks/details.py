@@ -36,7 +36,7 @@ from avatarbuild.texture.occlusion import ambient as by_embree
 
 FIRST = 2000  # seed of the first person
 SIDE = 1024
-CLIP, RATE = 30.0, 2.0  # seconds, frames a second
+CLIP, RATE = 45.0, 2.0  # seconds, frames a second
 
 
 class Clip:
@@ -230,7 +230,7 @@ def pictures(t: Template, out: Path) -> None:
     tilt = [degrees(clip.truth(i), layers(np.zeros((SIDE, SIDE, 3), np.float32)))[clip.seen > 0].sum() for i in held]
     i = held[int(np.argmax(tilt))]
     maps = [clip.own(i), made.evaluate(made.strain_of(clip.vertices[i])), clip.truth(i)]
-    row = np.concatenate([m[330:660, 330:694, :3] for m in maps], axis=1)
+    row = np.concatenate([m[230:560, 330:694, :3] for m in maps], axis=1)
     write(out / "details-synthesis.png", np.round(row * 127.5 + 127.5).astype(np.uint8))
 
 
