@@ -208,12 +208,10 @@ def corrections(project: Path, source: Path, judge: Any, template: Template, sec
     clip = given["capture"].clip
     bad, which = disturbed(clip, template)
     hand = which[np.linspace(0, len(which) - 1, CORRECTED).round().astype(int)]
-    true = judge.truth.v["landmarks68"]
+    true, shown = judge.truth.v["landmarks68"], judge.truth.v["landmarks68_visible"]
+    numbers = clip.processed[hand].tolist()
     told = Corrections(
-        {
-            int(clip.processed[i]): {k: true[clip.processed[i], k].astype(float) + 0.5 for k in range(17, 68)}
-            for i in hand
-        }
+        {i: {k: true[i, k].astype(float) + 0.5 for k in np.flatnonzero(shown[i]).tolist()} for i in numbers}
     )
     hurt = given | {"capture": replace(given["capture"], clip=bad)}
     found = {

@@ -230,6 +230,23 @@ def test_dense_flow_finds_a_moved_head() -> None:
     assert np.quantile(error, 0.9) < 1.0
 
 
+def test_where_something_hides_the_face_the_detector_counts_less() -> None:
+    """The drawn head with a flat patch over its right half: flow finds nothing there."""
+    h, w = 120, 100
+    tried = np.zeros((h, w), bool)
+    tried[20:100, 20:80] = True
+    good = tried.copy()
+    good[:, :50] = False
+    cover = dense._about(good, tried)
+    targets = dense.Targets(Places(np.zeros(0, int), np.zeros((0, 3))), np.zeros((0, 2)), 0.5, cover, np.zeros(2), 2.0)
+    shares = targets.covered(2 * np.array([[30.0, 60.0], [70.0, 60.0], [5.0, 5.0], [500.0, 60.0]]))
+    np.testing.assert_allclose(shares, [0, 1, 1, 1], atol=0.02)
+    f = face()
+    here = frame_of(f, state(np.zeros(A)))
+    (whole,), (half,) = (fit.detected(f, here, Weights(), trust) for trust in (1.0, np.full(SKIN, 0.5)))
+    np.testing.assert_allclose(half.worth, 0.5 * whole.worth)
+
+
 # the eyes
 
 

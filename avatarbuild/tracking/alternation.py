@@ -34,6 +34,7 @@ _STEPS = 3
 _SURE = 0.6  # quality from which a frame may tell about the lens
 _LENS_FRAMES = 6
 _ALIKE = 0.02  # of a point's square: neighbouring points err alike, fifty of them count as one
+_HIDDEN, _LEAST_TRUST = 0.3, 0.05  # where flow finds less of the skin, the detector guesses; what is left of its worth
 _HARDLY, _WELL = 0.25, 0.6  # of the evidence
 _WORSE = 0.35  # quality below which a frame teaches nothing
 
@@ -115,7 +116,8 @@ def seek(
     frame, state = tracked.frame, tracked.state
     posed = face.rig.posed(state.weights)
     found = dense.targets(frame, posed, face.skin, skin.region, skin.texture, face.lens, state.R, state.t, at)
-    marks = fit.detected(face, frame, w)
+    seen = face.lens.project((face.marker_rider.at(state.weights) + face.markers.offset) @ state.R.T + state.t)[0]
+    marks = fit.detected(face, frame, w, np.clip(found.covered(seen) / _HIDDEN, _LEAST_TRUST, 1))
     pinned = marks + fit.found(face, found, w)
     state = fit.fit_points(face, frame, pinned, state, w, rigid=0, steps=4)
     if levels:

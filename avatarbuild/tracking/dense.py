@@ -26,16 +26,31 @@ _FAINT = 0.01  # of the logarithm: fainter texture stays faint
 _AGREE = 1.0  # pixels at that level: flow there and back
 _CELL = 5  # one target for so many pixels square
 _FACING = 0.35
+_WINDOW = 0.2  # of the face's width, about: within it flow says whether something hides the face
+_LEAST_TRIED = 0.2  # of that window
 _WAY = 24.0  # pixels at that level: no face moves farther between what is drawn and what is seen
 
 
 @dataclass(frozen=True)
 class Targets:
-    """places of p points of the skin, their pictures (p, 2) pixels in a frame, and their share of those looked for."""
+    """
+    places of p points of the skin, their pictures (p, 2) pixels in a frame, and their share of those looked for; cover
+    (h, w) in 0..1: that share about each pixel of the crop, whose corner (2,) lies in the frame and whose pixels are
+    `scale` wide.
+    """
 
     places: Places
     pictures: np.ndarray
     share: float
+    cover: np.ndarray
+    corner: np.ndarray
+    scale: float
+
+    def covered(self, pixels: np.ndarray) -> np.ndarray:
+        """(q,) the share about points (q, 2) of the frame; 1 beyond the face."""
+        x, y = np.asarray((pixels - self.corner) / self.scale - 0.5, np.float32).T.copy()
+        shares = cv2.remap(self.cover, x[:, None], y[:, None], cv2.INTER_NEAREST, borderValue=1.0)
+        return np.asarray(shares, np.float64).ravel()
 
 
 def targets(
@@ -65,7 +80,10 @@ def targets(
     facing = -np.einsum("ij,ij->i", face_normals(camera, triangles), middle) / np.linalg.norm(middle, axis=1)
     on = np.append(region & (facing > _FACING), False)[raster.triangle]
     if on.sum() < 400:
-        return Targets(Places(np.zeros(0, np.int64), np.zeros((0, 3))), np.zeros((0, 2)), 0.0)
+        nothing = np.ones((h, w), np.float32)
+        return Targets(
+            Places(np.zeros(0, np.int64), np.zeros((0, 3))), np.zeros((0, 2)), 0.0, nothing, frame.corner, scale
+        )
     there, apart = flow_there_and_back(levelled(drawn, on), levelled(seen, on))
     inner = cv2.erode(on.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     good = inner & (apart < _AGREE) & (np.linalg.norm(there, axis=2) < _WAY)
@@ -76,7 +94,17 @@ def targets(
     at = np.stack([column, row], axis=1) + there[row, column].astype(np.float64) + 0.5
     places = Places(raster.triangle[row, column].astype(np.int64), raster.barycentric[row, column].astype(np.float64))
     share = len(row) / max(int((inner & cells).sum()), 1)
-    return Targets(places, at * scale + frame.corner, share)
+    return Targets(places, at * scale + frame.corner, share, _about(good, inner), frame.corner, scale)
+
+
+def _about(good: np.ndarray, tried: np.ndarray) -> np.ndarray:
+    """(h, w) float32 the share of the tried pixels that are good in a window about each; 1 where few were tried."""
+    side = 2 * int(_WINDOW * np.sqrt(tried.sum()) / 2) + 1
+    sums = [
+        cv2.boxFilter(mask.astype(np.float32), -1, (side, side), borderType=cv2.BORDER_CONSTANT)
+        for mask in (good, tried)
+    ]
+    return np.where(sums[1] > _LEAST_TRIED, sums[0] / np.maximum(sums[1], _LEAST_TRIED), 1).astype(np.float32)
 
 
 def levelled(picture: np.ndarray, on: np.ndarray) -> np.ndarray:

@@ -109,12 +109,12 @@ def wearing(face: Face, rig: Rig) -> Face:
     return face_of(rig, face.lens, face.markers, face.samples, face.skin, face.limits)
 
 
-def detected(face: Face, frame: Frame, w: Weights) -> list[Pinned]:
-    """The detector's points, if it found any, then the user's, if there are some."""
+def detected(face: Face, frame: Frame, w: Weights, trust: np.ndarray | float = 1.0) -> list[Pinned]:
+    """The detector's points, if it found any, each with its `trust` (468,), then the user's, if there are some."""
     if not np.isfinite(frame.presence):
         return []
     m, clicks = face.markers, frame.clicks
-    worth = m.weight * frame.presence / w.marker_sd**2
+    worth = m.weight * trust * frame.presence / w.marker_sd**2
     points = [Pinned(m, face.marker_rider, frame.marks[:SKIN, :2], worth, w.marker_reach)]
     if clicks is not None:
         at = clicks.points
