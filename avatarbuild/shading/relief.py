@@ -57,7 +57,7 @@ class ReliefWeights:
 
 MEDIUM = ReliefWeights(light=3.0, small=0.01, slope=0.3, bend=1.0, scatter=0.0)
 """For the refinement of shapes: what a mesh of a few millimetres' spacing can follow; scattered light is finer."""
-FINE = ReliefWeights(light=0.3, small=0.01, slope=0.3, bend=0.1)
+FINE = ReliefWeights(light=0.3, small=0.005, slope=0.1, bend=0.1)
 """For detail maps."""
 
 

@@ -30,9 +30,13 @@ from avatarbuild.shading.relief import FINE, Relief, light_seen, relief
 from avatarbuild.shading.surface import FineSkin, draw, picture
 from avatarbuild.stages.refinement import LEAST_FRAMES, fine_skin_of, good_frames, posed, watched_clip
 from avatarbuild.template import Template
+from avatarbuild.texture.static_detail import plain_skin
 from avatarbuild.tracking.lens import Lens
 
 log = logging.getLogger(__name__)
+
+FLAT = np.array([0.0, 0, 1, 1])
+_TILE = 65536  # texels whose medians are taken at a time
 
 
 def run(
@@ -65,27 +69,31 @@ def run(
     heads = [posed(performance, int(performance.processed[row]), int(row)) for row in rows]
     open_ = occlusion_of(chart, maps.frames(chart, performance.neutral), performance.neutral, None)
 
+    plain = plain_skin(template, chart.chart).reshape(-1)[chart.flat]
+
     def layers(k: int) -> tuple[np.ndarray, np.ndarray]:
         one, head = watched.frames[k], heads[k]
         found = wrinkles(one, watched, float(watched.light.gains[k]), lens)
         axes = maps.frames(chart, head.vertices)
         normal, sure, height = maps.tangent_normals(axes, one.drawn, found, lens, head.R, head.t)
+        normal[:, :2] *= plain[:, None]
         bent = normal[:, :1] * axes.tangent + normal[:, 1:2] * axes.bitangent + normal[:, 2:] * axes.normal
-        raised = axes.position + (height * sure)[:, None] * axes.normal
+        raised = axes.position + (height * sure * plain)[:, None] * axes.normal
         shade = occlusion_of(chart, axes, head.vertices, (raised, bent)) / np.maximum(open_, 0.1)
-        stacked = np.concatenate([normal, np.clip(shade, 0, 1)[:, None]], axis=1)
-        return chart.map(stacked, np.array([0, 0, 1, 1])).astype(np.float16), chart.map(sure, 0.0).astype(np.float16)
+        return np.concatenate([normal, shade[:, None]], axis=1).astype(np.float16), sure.astype(np.float16)
 
-    made = []
+    frames, sure = [], []
     with progress.task("Wrinkles of every frame", len(rows)) as task:
-        for one in each_alone(layers, range(len(rows))):
-            made.append(one)
+        for layer, known in each_alone(layers, range(len(rows))):
+            frames.append(layer)
+            sure.append(known)
             task.advance()
+    made = dynamic(np.stack(frames))
     with progress.task("What makes them", 1) as task:
         vertices = np.stack([head.vertices for head in heads])
         synthesis = train(
-            lambda f: made[f][0].astype(np.float32),
-            lambda f: made[f][1].astype(np.float32),
+            lambda f: chart.map(made[f].astype(np.float32), FLAT),
+            lambda f: chart.map(sure[f].astype(np.float32), 0.0),
             *(vertices, performance.neutral, template),
             count=min(options.keyframes, len(rows)),
         )
@@ -103,8 +111,8 @@ def run(
         "frames": len(rows),
         "pixel_frame_px": watched.frames[0].drawn.factor,
         "keyframes": synthesis.keys.count,
-        "tilt_degrees": tilt(made),
-        "misfit_degrees": misfit(synthesis, made, vertices),
+        "tilt_degrees": tilt(made, sure),
+        "misfit_degrees": misfit(synthesis, chart, made, sure, vertices),
     }
     log.info("details: %s", figures)
     return Details(files, figures, [])
@@ -168,27 +176,44 @@ def frame_normals(
         yield number, normal.astype(np.float16)
 
 
-def tilt(made: list[tuple[np.ndarray, np.ndarray]]) -> float:
-    """Degrees: how far the maps' normals lean, mean over all texels that are seen."""
-    lean, weight = 0.0, 0.0
-    for layers, sure in made:
-        s = sure.astype(np.float32)
-        lean += float((np.degrees(np.arccos(np.clip(layers[..., 2].astype(np.float32), -1, 1))) * s).sum())
-        weight += float(s.sum())
-    return round(lean / max(weight, 1e-9), 2)
+def dynamic(layers: np.ndarray) -> np.ndarray:
+    """
+    (f, t, 4) what expressions add: normals less the median of all frames, which is the face's own, as are brows that
+    look like relief; occlusion over its median, at most open.
+    """
+    out = np.empty_like(layers)
+    for first in range(0, layers.shape[1], _TILE):
+        part = slice(first, first + _TILE)
+        here = layers[:, part].astype(np.float32)
+        here[..., :2] -= np.median(here[..., :2], axis=0)
+        here[..., :3] /= np.linalg.norm(here[..., :3], axis=-1, keepdims=True)
+        here[..., 3] = np.clip(here[..., 3] / np.maximum(np.median(here[..., 3], axis=0), 0.1), 0, 1)
+        out[:, part] = here
+    return out
 
 
-def misfit(synthesis: Synthesis, made: list[tuple[np.ndarray, np.ndarray]], vertices: np.ndarray) -> float:
+def tilt(made: np.ndarray, sure: list[np.ndarray]) -> float:
+    """Degrees: how far the maps' normals (f, t, 4) lean, mean over what is seen."""
+    lean = [np.degrees(np.arccos(np.clip(layers[:, 2].astype(np.float32), -1, 1))) for layers in made]
+    return _mean(lean, sure)
+
+
+def misfit(
+    synthesis: Synthesis, chart: maps.FaceChart, made: np.ndarray, sure: list[np.ndarray], vertices: np.ndarray
+) -> float:
     """Degrees between the frames' own normals and the synthesised ones, mean over what is seen."""
-    off, weight = 0.0, 0.0
-    for (layers, sure), head in zip(made, vertices, strict=True):
-        again = synthesis.evaluate(synthesis.strain_of(head))[..., :3]
-        own = layers[..., :3].astype(np.float32)
-        own /= np.maximum(np.linalg.norm(own, axis=-1, keepdims=True), 1e-9)
-        s = sure.astype(np.float32)
-        off += float((np.degrees(np.arccos(np.clip((again * own).sum(axis=-1), -1, 1))) * s).sum())
-        weight += float(s.sum())
-    return round(off / max(weight, 1e-9), 2)
+    off = []
+    for layers, head in zip(made, vertices, strict=True):
+        again = synthesis.evaluate(synthesis.strain_of(head)).reshape(-1, 4)[chart.flat, :3]
+        own = layers[:, :3].astype(np.float32)
+        cosine = (again * own).sum(axis=1) / np.maximum(np.linalg.norm(own, axis=1), 1e-9)
+        off.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+    return _mean(off, sure)
+
+
+def _mean(values: list[np.ndarray], weights: list[np.ndarray]) -> float:
+    total = sum(float((v * w.astype(np.float32)).sum()) for v, w in zip(values, weights, strict=True))
+    return round(total / max(sum(float(w.astype(np.float32).sum()) for w in weights), 1e-9), 2)
 
 
 def _npz(normals: np.ndarray) -> bytes:

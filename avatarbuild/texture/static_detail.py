@@ -74,7 +74,7 @@ def maps(
     skin = chart.part == 1
     metric = chart.field(_metric(template, vertices) * size, template.triangles)
     scale = np.median(metric[skin].mean(axis=-1)) if skin.any() else 1.0
-    plain = _plain(template, chart)
+    plain = plain_skin(template, chart)
     coarse = cloud_relief(template, vertices, points, min(_CLOUD_GRID, size))
     relief = cv2.resize(coarse, (size, size), interpolation=cv2.INTER_CUBIC)
     luminance = _resized(albedo.mean(axis=-1), size)
@@ -131,7 +131,9 @@ def cloud_relief(template: Template, vertices: np.ndarray, points: np.ndarray, s
     # the cloud's own rim is its worst part
     edge = np.clip(near(mask, 4 * sigma) * 4 - 3, 0, 1)
     chart = draw_chart(template, template.uv, template.uv_triangles, size)
-    plain = _plain(template, chart) * (1 - chart.field(template.regions["ears"].astype(np.float32), template.triangles))
+    plain = plain_skin(template, chart) * (
+        1 - chart.field(template.regions["ears"].astype(np.float32), template.triangles)
+    )
     return (shrunk * edge * plain).astype(np.float32)
 
 
@@ -171,7 +173,7 @@ def pores(luminance: np.ndarray, plain: np.ndarray, scale: float, w: DetailWeigh
     return (band * (w.pore_slope / max(float(slope), 1e-6))).astype(np.float32)
 
 
-def _plain(template: Template, chart: Chart) -> np.ndarray:
+def plain_skin(template: Template, chart: Chart) -> np.ndarray:
     """(d, d) float32 in [0, 1]: skin without brows, lids' rims, mouth, sockets."""
     other = np.zeros(len(template.mean), np.float32)
     for name in ("brows", "lids", "mouth", "sockets"):

@@ -1,0 +1,153 @@
+"""Stages refinement and details on a drawn clip: a head under one light whose brow wrinkles when it is raised."""
+
+from __future__ import annotations
+
+from functools import cache, partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import synthetic
+
+from avatarbuild.artefacts import Albedo, Blendshapes, Details, Performance, Refinement
+from avatarbuild.errors import InputError
+from avatarbuild.formats.colour import srgb_from_linear
+from avatarbuild.formats.details import read_details
+from avatarbuild.options import DetailsOptions, RefinementOptions
+from avatarbuild.progress import Silent
+from avatarbuild.shading.light import Light
+from avatarbuild.shading.surface import draw, fine_skin
+from avatarbuild.simulation.noise import fractal
+from avatarbuild.stages import details, refinement
+from avatarbuild.template import ARKIT_NAMES
+from avatarbuild.tracking.lens import Lens
+
+SIZE = (180, 240)
+LENS = Lens(310.0, 0.0, SIZE)
+LIGHT = Light(np.array([0.7, 0.3, -0.8, -0.8, 0.05, 0.02, -0.03, 0.04, 0.05]), np.ones(1))
+R, T = np.diag([1.0, -1, -1]), np.array([0.0, 0, 420])
+FRAMES = 6
+BROWS = [ARKIT_NAMES.index(name) for name in ("browInnerUp", "browOuterUpLeft", "browOuterUpRight")]
+
+
+def raised(i: int) -> bool:
+    return i % 3 == 2
+
+
+def weights() -> np.ndarray:
+    out = np.zeros((FRAMES, 52))
+    for i in range(FRAMES):
+        out[i, BROWS] = 0.8 * raised(i)
+    return out
+
+
+@cache
+def shapes() -> Blendshapes:
+    template = synthetic.template()
+    return Blendshapes(template.mean.copy(), template.expressions.astype(np.float32), template.eye_centres)
+
+
+@cache
+def albedo() -> Albedo:
+    rows, columns = np.mgrid[0:512, 0:512] / 512.0
+    place = np.stack([columns * 200, rows * 200, 0 * rows], axis=-1).reshape(-1, 3)
+    speckles = 0.35 + 0.12 * fractal(place, 3.0, 2, 5).reshape(512, 512)
+    picture = np.round(255 * srgb_from_linear(np.clip(speckles, 0.05, 0.9))).astype(np.uint8)
+    colour = np.repeat(picture[..., None], 3, axis=2)
+    none = np.zeros((16, 16), np.uint8)
+    return Albedo(
+        colour, colour, colour, none + 255, none, none + 255, np.zeros((9, 3)), np.full(3, 0.4), np.ones((1, 3))
+    )
+
+
+@cache
+def picture(i: int) -> np.ndarray:
+    """(H, W, 3) uint8: the head lit, with furrows across the forehead where the brows are up."""
+    template = synthetic.template()
+    skin = fine_skin(template, albedo().albedo, np.ones(template.vertex_count))
+    posed = shapes().neutral + np.tensordot(weights()[i], shapes().deltas.astype(float), 1)
+    drawn = draw(skin, posed, LENS, R, T, 1, whole=True)
+    normal = drawn.normal.copy()
+    if raised(i):
+        head = (drawn.point - T) @ R
+        high = np.exp(-(((head[..., 1] - 40) / 14) ** 2)) * np.exp(-((head[..., 0] / 30) ** 4))
+        normal[..., 1] += 0.7 * high * np.sin(2 * np.pi * head[..., 1] / 14)
+        normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
+    grey = np.where(drawn.on, 0.55 * np.exp(drawn.tone) * LIGHT.shade(normal), 0.1)
+    return np.repeat(np.round(255 * srgb_from_linear(np.clip(grey, 0, 1)))[..., None], 3, axis=2).astype(np.uint8)
+
+
+@cache
+def capture() -> Any:
+    images = [SimpleNamespace(rgb=partial(picture, i)) for i in range(FRAMES)]
+    return SimpleNamespace(clip=SimpleNamespace(file="clip.mp4", frames=SimpleNamespace(images=images)))
+
+
+@cache
+def performance() -> Performance:
+    s = shapes()
+    return Performance(
+        *("clip.mp4", SIZE, 10.0, LENS.focal, 0.0, np.arange(FRAMES) / 10, weights()),
+        *(np.repeat(R[None], FRAMES, axis=0), np.repeat(T[None], FRAMES, axis=0), np.ones(FRAMES)),
+        *(np.zeros((FRAMES, 2, 2)), np.arange(FRAMES), np.ones(FRAMES, bool)),
+        *(s.neutral, s.deltas, s.eye_centres, np.zeros(52)),
+    )
+
+
+@cache
+def refined() -> Refinement:
+    found = (capture(), albedo(), shapes(), performance())
+    return refinement.run(*found, RefinementOptions(pixel=1.0), Silent(), synthetic.template())
+
+
+@cache
+def made() -> Details:
+    options = DetailsOptions(pixel=1.0, side=256, keyframes=2)
+    found = (capture(), albedo(), performance(), refined())
+    return details.run(*found, options, Silent(), synthetic.template(), Path("nowhere"))
+
+
+def test_refinement_leaves_true_shapes_nearly_alone() -> None:
+    assert refined().figures["frames"] == FRAMES
+    assert np.linalg.norm(refined().neutral - shapes().neutral, axis=1).max() < 0.5
+    still = [i for i in range(51) if i not in BROWS and ARKIT_NAMES[i] != "mouthClose"]
+    assert np.abs(refined().deltas[still] - shapes().deltas[still]).max() < 0.5
+    assert np.isfinite(refined().light).all()
+
+
+def test_furrows_come_with_the_brows_and_go_without_them() -> None:
+    template = synthetic.template()
+    synthesis = read_details(made().files, template)
+    up, rest = (shapes().neutral + np.tensordot(weights()[i], shapes().deltas.astype(float), 1) for i in (2, 0))
+    chart = details.maps.face_chart(template, 256)
+    place = chart.field(shapes().neutral)
+    brow = (np.abs(place[:, 0]) < 20) & (np.abs(place[:, 1] - 40) < 12)
+    cheek = (np.abs(place[:, 1] + 35) < 10) & (np.abs(place[:, 0]) > 30)
+    lean = []
+    for head in (up, rest):
+        normal = synthesis.evaluate(synthesis.strain_of(head)).reshape(-1, 4)[chart.flat, :3]
+        lean.append(np.degrees(np.arccos(np.clip(normal[:, 2], -1, 1))))
+    assert lean[0][brow].mean() > 2
+    assert lean[0][brow].mean() > 3 * lean[1][brow].mean()
+    assert lean[0][cheek].mean() < 2
+
+
+def test_without_a_video_there_are_no_details() -> None:
+    still = refinement.untouched(performance(), [])
+    none = SimpleNamespace(clip=None)
+    found = details.run(
+        *(none, albedo(), performance(), still), DetailsOptions(), Silent(), synthetic.template(), Path("nowhere")
+    )
+    assert found.files == {}
+
+
+def test_frames_to_save_are_named_or_refused(tmp_path: Path) -> None:
+    assert details.frame_numbers("21, 3", 30) == [3, 21]
+    assert details.frame_numbers("", 30) == []
+    with pytest.raises(InputError, match="save_frames names '30': numbers from 0 to 29"):
+        details.frame_numbers("30", 30)
+    kept = made()
+    kept.save(tmp_path / "d")
+    assert Details.load(tmp_path / "d").files == kept.files
