@@ -92,6 +92,18 @@ FIGURES: dict[str, dict[str, Figure]] = {
         "focal": Figure("Focal length", "px", "Of the video's camera, as it came out."),
         "shapes_learnt": Figure("Shapes learnt", "", "Those that the video, and not the template, decided."),
     },
+    "refinement": {
+        "frames": Figure("Frames", "", "Whose light on the skin was read."),
+        "offset_mm": Figure("Depth beyond the shapes", "mm", "What shading asked of the tracked surface, mean."),
+        "moved_mm": Figure("Largest change of a shape", "mm", "Anywhere on the face."),
+        "neutral_moved_mm": Figure("Largest change at rest", "mm", "Of the neutral head."),
+    },
+    "details": {
+        "frames": Figure("Frames", "", "That wrinkles were taken from."),
+        "keyframes": Figure("Keyframes", "", "That every expression's wrinkles are mixed from."),
+        "tilt_degrees": Figure("Wrinkles tilt the skin by", "degrees", "Mean over all frames and the face."),
+        "misfit_degrees": Figure("Mixed wrinkles are off by", "degrees", "From the frames' own, mean."),
+    },
     "avatar": {
         "glb_mb": Figure("Size of avatar.glb", "MB", "Opens in any viewer of glTF."),
         "shapes": Figure("Shapes that move", "", "Of the 52."),
