@@ -214,7 +214,7 @@ def occlusion(t: Template, people: int) -> None:
 
 
 def pictures(t: Template, out: Path) -> None:
-    """Occlusion of a folded face beside that by rays, and a left-out frame's map beside its own and the truth."""
+    """Occlusion of a folded face beside that by rays; a left-out frame with raised brows: own map, made one, truth."""
     head = folded(t, 0)
     window = (slice(330, 700), slice(300, 724))
     inside = np.zeros(head.mask.shape, bool)
@@ -227,8 +227,7 @@ def pictures(t: Template, out: Path) -> None:
     write(out / "details-occlusion.png", np.round(255 * pair).astype(np.uint8))
     clip = Clip(t, chart_of(t, SIDE), FIRST, 4.0, 0.7)
     made, held = trained(clip, t)
-    tilt = [degrees(clip.truth(i), layers(np.zeros((SIDE, SIDE, 3), np.float32)))[clip.seen > 0].sum() for i in held]
-    i = held[int(np.argmax(tilt))]
+    i = held[int(clip.weights[held, ARKIT_NAMES.index("browInnerUp")].argmax())]
     maps = [clip.own(i), made.evaluate(made.strain_of(clip.vertices[i])), clip.truth(i)]
     row = np.concatenate([m[230:560, 330:694, :3] for m in maps], axis=1)
     write(out / "details-synthesis.png", np.round(row * 127.5 + 127.5).astype(np.uint8))
