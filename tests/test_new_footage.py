@@ -14,7 +14,7 @@ import pytest
 from performances import FLIP, nothing
 from test_main import call, one_line, valid
 
-from avatarbuild import main, new_footage, pipeline
+from avatarbuild import main, new_footage, options, pipeline
 from avatarbuild.artefacts import Blendshapes, Performance, Views
 from avatarbuild.errors import InputError
 from avatarbuild.formats import track, video
@@ -266,3 +266,10 @@ def test_a_stale_avatar_is_refused(
     monkeypatch.setattr(main, "_states", lambda project, alone: lines)
     assert call(monkeypatch, "track", built, "x.mp4", "-o", tmp_path / "x.csv") == 2
     assert "stage albedo is stale, stage tracking is missing" in one_line(capsys)
+
+
+def test_a_project_whose_capture_is_gone_is_as_fresh_as_it_was() -> None:
+    chosen = options.stage_options("standard", {})
+    before = pipeline.keys("x", "t", chosen)
+    assert pipeline.keys("", "t", chosen, capture_key=before["capture"]) == before
+    assert pipeline.keys("", "t", chosen) != before
