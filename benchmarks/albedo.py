@@ -1,10 +1,12 @@
 """
 What the texture is worth: against the truth, at its seams, in photos it has not seen, in the video, and what it costs.
 
-python benchmarks/albedo.py PROJECT [--truth TRUTH --scorer score.py] [--glb avatar.glb] [--sizes 1024 2048 4096]
-    [--pictures FOLDER]
+python benchmarks/albedo.py PROJECT [sizes] [score] [seams] [photos] [video] [--truth TRUTH --scorer score.py]
+    [--glb avatar.glb] [--sizes 1024 2048 4096] [--texels 2048] [--pictures FOLDER]
 AVATARBUILD_BENCHMARK=FOLDER stands for --truth FOLDER/truth_b --scorer FOLDER/score.py. The project's stages up to
-neutral must have run. Six photos are left out of the texture for the comparison with photos, none for the other rows.
+neutral must have run. Without a word: all rows (score needs --glb). Score and video judge the largest of --sizes or,
+where sizes is not asked for, the texture that the project has; seams and photos, textures of --texels. Six photos are
+left out of the texture for the row of photos, none for the others.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from scoring import arguments
 from avatarbuild.artefacts import Albedo, Cameras, Capture, Cloud, Neutral, Views
 from avatarbuild.formats.images import encode_png
 from avatarbuild.geometry.meshes import vertex_normals
-from avatarbuild.geometry.mipmap import build_mipmap, sample_texture
+from avatarbuild.geometry.mipmap import Mipmap, build_mipmap, sample_texture
 from avatarbuild.geometry.raster import Raster, interpolate, project, rasterise
 from avatarbuild.options import AlbedoOptions
 from avatarbuild.progress import Silent
@@ -38,34 +40,50 @@ from avatarbuild.texture.occlusion import of_vertices
 from avatarbuild.texture.photos import Photo, linear_picture, placed_in_head, srgb_picture
 
 LEFT_OUT, FRAMES = 6, 10
+ROWS = ("sizes", "score", "seams", "photos", "video")
 
 
 def main() -> None:
     parser = arguments(__doc__)
+    parser.add_argument("rows", nargs="*", help=" ".join(ROWS))
     parser.add_argument("--glb", type=Path, help="the avatar with this neutral head, for the scorer")
-    parser.add_argument("--sizes", type=int, nargs="*", default=[1024, 2048, 4096])
+    parser.add_argument("--sizes", type=int, nargs="+", default=[1024, 2048, 4096])
+    parser.add_argument("--texels", type=int, default=2048)
     parser.add_argument("--pictures", type=Path)
     a = parser.parse_args()
+    rows = set(a.rows or ROWS)
+    if rows - set(ROWS):
+        parser.error(f"no such row: {', '.join(sorted(rows - set(ROWS)))}; there are {', '.join(ROWS)}")
+    if "score" in a.rows and not (a.truth and a.scorer and a.glb):
+        parser.error("score needs --truth, --scorer and --glb")
     capture = Capture.load(a.project / "01-capture")
     cameras, cloud = Cameras.load(a.project / "02-cameras"), Cloud.load(a.project / "03-points")
     neutral = Neutral.load(a.project / "04-neutral")
     inputs = (capture, cameras, cloud, neutral)
 
-    made = None
+    if rows != {"photos"}:
+        kept = a.project / "05-albedo"
+        made = sizes(inputs, sorted(a.sizes)) if "sizes" in rows or not kept.exists() else Albedo.load(kept)
+        if "score" in rows and a.truth and a.scorer and a.glb:
+            score(made, a.truth, a.scorer, a.glb)
+        if "seams" in rows:
+            seams(capture, cameras, neutral, made, a.texels)
+        if "video" in rows and capture.clip is not None:
+            video(capture, neutral, made, a.pictures)
+    if "photos" in rows:
+        photos(*inputs, a.texels, a.pictures)
+
+
+def sizes(inputs: tuple[Capture, Cameras, Cloud, Neutral], texels: list[int]) -> Albedo:
+    """What the stage costs at each size, the smallest first; returns the largest's texture."""
     print("texels  seconds  core-seconds  peak GB")
-    for size in a.sizes:
+    for size in texels:
         start, busy = time.perf_counter(), time.process_time()
         made = stage.run(*inputs, AlbedoOptions(size=size), Silent(), Template.load())
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
         seconds, cores = time.perf_counter() - start, time.process_time() - busy
         print(f"{size:6d} {seconds:8.1f} {cores:13.1f} {peak:8.2f}", flush=True)
-    made = made or stage.run(*inputs, AlbedoOptions(size=2048), Silent(), Template.load())
-    if a.truth and a.scorer and a.glb:
-        score(made, a.truth, a.scorer, a.glb)
-    seams(capture, cameras, neutral, made)
-    photos(*inputs, a.pictures)
-    if capture.clip is not None:
-        video(capture, neutral, made, a.pictures)
+    return made
 
 
 def score(made: Albedo, truth: Path, scorer: Path, glb: Path) -> None:
@@ -85,13 +103,13 @@ def score(made: Albedo, truth: Path, scorer: Path, glb: Path) -> None:
             print(f"{name:8s}", next(line for line in done.stdout.splitlines() if line.startswith("albedo")))
 
 
-def seams(capture: Capture, cameras: Cameras, neutral: Neutral, made: Albedo) -> None:
+def seams(capture: Capture, cameras: Cameras, neutral: Neutral, made: Albedo, size: int) -> None:
     """
     Gradients of the fused texture across borders of patches, over those of pairs 3 to 8 texels away in the same
     direction; of fused texture and completed albedo across the chart's seam; and how far the two photos' pictures are
     shifted against each other at the borders.
     """
-    template, size = Template.load(), 2048
+    template = Template.load()
     shots, still = fused_from(capture, cameras, neutral)
     eyes = (neutral.eye_centres, neutral.eye_radius)
     result, choice, _ = fuse(template, neutral.vertices, neutral.seen, shots, still, size, 8.0, eyes, lambda _: None)
@@ -203,14 +221,16 @@ def fused_from(capture: Capture, cameras: Cameras, neutral: Neutral) -> tuple[li
     return placed_in_head(capture.photos, placed, neutral.head_from_cloud), capture.neutral[placed.index]
 
 
-def photos(capture: Capture, cameras: Cameras, cloud: Cloud, neutral: Neutral, pictures: Path | None) -> None:
+def photos(
+    capture: Capture, cameras: Cameras, cloud: Cloud, neutral: Neutral, texels: int, pictures: Path | None
+) -> None:
     """PSNR on the face in photos that the texture has not seen, after one gain per channel."""
     shots, _ = fused_from(capture, cameras, neutral)
     order = np.argsort([photo.yaw for photo in shots])
     out = [shots[i] for i in order[np.linspace(0, len(shots) - 1, LEFT_OUT + 2).astype(int)[1:-1]]]
     names = ",".join(photo.name for photo in out)
     made = stage.run(
-        capture, cameras, cloud, neutral, AlbedoOptions(size=2048, leave_out=names), Silent(), Template.load()
+        capture, cameras, cloud, neutral, AlbedoOptions(size=texels, leave_out=names), Silent(), Template.load()
     )
     light = linear_picture(made.illumination)
     textures = {
@@ -219,9 +239,9 @@ def photos(capture: Capture, cameras: Cameras, cloud: Cloud, neutral: Neutral, p
     }
     print("PSNR on the face in photos left out:")
     for name, texture in textures.items():
-        values = []
+        values, levels = [], build_mipmap(texture)
         for photo in out:
-            picture, shown, cosine, _ = rendered(neutral, texture, photo.K, photo.dist, photo.R, photo.t, photo.size)
+            picture, shown, cosine, _ = rendered(neutral, levels, photo.K, photo.dist, photo.R, photo.t, photo.size)
             real = linear_picture(photo.image.rgb())
             use = shown & (cosine > 0.3) & (real.max(axis=2) < 0.95)
             gain = np.median(real[use] / np.maximum(picture[use], 1e-3), axis=0)
@@ -253,10 +273,10 @@ def video(capture: Capture, neutral: Neutral, made: Albedo, pictures: Path | Non
     light = np.column_stack([open_, bent])
     means = {}
     for name in ("fused", "albedo"):
-        texture = linear_picture(getattr(made, name))
+        levels = build_mipmap(linear_picture(getattr(made, name)))
         plain, values = [], []
         for _, i, R, t in placed[:FRAMES]:
-            picture, shown, cosine, around = rendered(neutral, texture, K, np.zeros(5), R, t, (w, h), light)
+            picture, shown, cosine, around = rendered(neutral, levels, K, np.zeros(5), R, t, (w, h), light)
             real = linear_picture(frames.images[i].rgb())
             use = shown & (cosine > 0.3)
             normal = around[use][:, 1:] / np.linalg.norm(around[use][:, 1:], axis=1, keepdims=True)
@@ -303,7 +323,7 @@ def harmonics(n: np.ndarray) -> np.ndarray:
 
 def rendered(
     neutral: Neutral,
-    texture: np.ndarray,
+    levels: Mipmap,
     K: np.ndarray,
     dist: np.ndarray,
     R: np.ndarray,
@@ -311,13 +331,11 @@ def rendered(
     size: tuple[int, int],
     more: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The textured head: picture (h, w, 3) linear, face (h, w) without eyes and mouth, cosine, `more` (n, c)."""
+    """The head in a texture: picture (h, w, 3) linear, face (h, w) without eyes and mouth, cosine, `more` (n, c)."""
     template = Template.load()
     pixels, depth = project(neutral.vertices, K, dist, R, t)
     raster: Raster = rasterise(pixels, depth, template.triangles, size)
-    picture = sample_texture(
-        build_mipmap(texture), raster, pixels, depth, template.triangles, template.uv, template.uv_triangles
-    )
+    picture = sample_texture(levels, raster, pixels, depth, template.triangles, template.uv, template.uv_triangles)
     normals = vertex_normals(neutral.vertices, template.triangles)
     towards = -R.T @ t - neutral.vertices
     cosine = np.einsum("ij,ij->i", normals, towards) / np.linalg.norm(towards, axis=1)

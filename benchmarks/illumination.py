@@ -92,14 +92,14 @@ def simulated(seed: int, lights: int) -> tuple[np.ndarray, list[Fused], SimpleNa
 
 
 def apart(images: list[np.ndarray], on: np.ndarray) -> float:
-    """Mean over the pairs of sum |a - b| / sum b in percent, after one scale a channel."""
+    """Mean over the pairs of sum |a - b| / sum b in percent, after one scale a channel; NaN of a single image."""
     found = []
     for i, first in enumerate(images):
         for second in images[i + 1 :]:
             a, b = first[on], second[on]
             a = a * np.exp(np.median(np.log(b + 1e-3) - np.log(a + 1e-3), axis=0))
             found.append(np.abs(a - b).sum() / b.sum())
-    return 100 * float(np.mean(found))
+    return 100 * float(np.mean(found)) if found else float("nan")
 
 
 def lights(seed: int) -> None:

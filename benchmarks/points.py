@@ -3,7 +3,8 @@ What dense stereo costs: seconds, core-seconds and memory of stage points by num
 
   python benchmarks/points.py PROJECT [--photos 13 26 52] [--sizes 576 768 1152 1600] [--out FOLDER]
 
-PROJECT has its stages capture and cameras done. With --out the clouds are kept as FOLDER/<photos>-<size>/points.ply,
+PROJECT has its stages capture and cameras done. Other sizes than the standard one are measured with the largest of the
+numbers of photos (without a number: all of them). With --out the clouds are kept as FOLDER/<photos>-<size>/points.ply,
 for a scorer. Run it on an idle machine; the first run also compiles the kernels, so a small one goes before.
 """
 
@@ -60,9 +61,10 @@ def main() -> int:
     print("photos   size  seconds  core-s  core-s/photo    points  peak GiB (of the process so far)")
     for count in given.photos:
         print(measure(capture, fewer(cameras, folder, count), standard, given.out), flush=True)
+    most = fewer(cameras, folder, max(given.photos, default=cameras.model.num_reg_images()))
     for size in given.sizes:
         if size != standard:
-            print(measure(capture, cameras, size, given.out), flush=True)
+            print(measure(capture, most, size, given.out), flush=True)
     return 0
 
 
