@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache, partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,6 +18,7 @@ from avatarbuild.formats.colour import srgb_from_linear
 from avatarbuild.formats.details import read_details
 from avatarbuild.options import DetailsOptions, RefinementOptions
 from avatarbuild.progress import Silent
+from avatarbuild.report.wrinkles import wrinkles_section
 from avatarbuild.shading.light import Light
 from avatarbuild.shading.surface import draw, fine_skin
 from avatarbuild.simulation.noise import fractal
@@ -57,9 +59,11 @@ def albedo() -> Albedo:
     picture = np.round(255 * srgb_from_linear(np.clip(speckles, 0.05, 0.9))).astype(np.uint8)
     colour = np.repeat(picture[..., None], 3, axis=2)
     none = np.zeros((16, 16), np.uint8)
-    return Albedo(
-        colour, colour, colour, none + 255, none, none + 255, np.zeros((9, 3)), np.full(3, 0.4), np.ones((1, 3))
-    )
+    level = np.full((16, 16, 3), (128, 128, 255), np.uint8)
+    light = np.zeros((9, 3))
+    light[[0, 3]] = 0.5
+    found = (light, np.full(3, 0.4), np.ones((1, 3)))
+    return Albedo(colour, colour, colour, none + 255, level, none + 255, *found)
 
 
 @cache
@@ -132,6 +136,13 @@ def test_furrows_come_with_the_brows_and_go_without_them() -> None:
     assert lean[0][brow].mean() > 2
     assert lean[0][brow].mean() > 3 * lean[1][brow].mean()
     assert lean[0][cheek].mean() < 2
+
+
+def test_the_report_shows_the_keyframes_with_and_without() -> None:
+    section = wrinkles_section(made(), performance(), albedo(), shapes(), synthetic.template())
+    assert section.count("<img") == 4
+    assert {int(n) for n in re.findall(r"Frame (\d+), with details", section)} <= set(range(FRAMES))
+    assert wrinkles_section(Details({}), performance(), albedo(), shapes(), synthetic.template()) == ""
 
 
 def test_without_a_video_there_are_no_details() -> None:

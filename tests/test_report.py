@@ -23,6 +23,7 @@ from avatarbuild.artefacts import (
     Capture,
     Clip,
     Cloud,
+    Details,
     Neutral,
     Performance,
     StoredImage,
@@ -162,7 +163,7 @@ def stamps() -> list[dict[str, Any]]:
 
 def written(g: Given) -> bytes:
     none = performances.nothing(g.blendshapes)
-    seen = (g.capture, g.cameras, g.points, g.neutral, g.albedo, g.blendshapes, none)
+    seen = (g.capture, g.cameras, g.points, g.neutral, g.albedo, g.blendshapes, none, Details({}))
     return page(*seen, synthetic.template(), stamps())
 
 

@@ -6,11 +6,12 @@ from html import escape
 from importlib.resources import files
 from typing import Any
 
-from avatarbuild.artefacts import Albedo, Blendshapes, Cameras, Capture, Cloud, Neutral, Performance
+from avatarbuild.artefacts import Albedo, Blendshapes, Cameras, Capture, Cloud, Details, Neutral, Performance
 from avatarbuild.report import heads, overlay, sections, words
 from avatarbuild.report.html import duration, paragraph, picture, row
 from avatarbuild.report.performance import performance_section
 from avatarbuild.report.rendering import View
+from avatarbuild.report.wrinkles import wrinkles_section
 from avatarbuild.template import Template
 
 _HERO = View(size=(460, 560), height=305.0, centre=(0.0, -18.0, -30.0))
@@ -23,7 +24,8 @@ _SMILE = {
 }
 _PLACES = (
     *(("advice", "What to do"), ("coverage", "Photos"), ("cloud", "Surface"), ("fit", "Fit")),
-    *(("expressions", "Expressions"), ("performance", "Performance"), ("figures", "Figures")),
+    *(("expressions", "Expressions"), ("performance", "Performance"), ("details", "Wrinkles")),
+    ("figures", "Figures"),
 )
 
 
@@ -35,6 +37,7 @@ def page(
     albedo: Albedo,
     blendshapes: Blendshapes,
     performance: Performance,
+    details: Details,
     template: Template,
     stages: list[dict[str, Any]],
 ) -> bytes:
@@ -49,7 +52,8 @@ def page(
     filmed = len(performance.times) > 0
     found = overlay.shots(capture, cameras, neutral)
     todo = words.cautions(stages)
-    links = "".join(f'<li><a href="#{key}">{name}</a></li>' for key, name in _PLACES if filmed or key != "performance")
+    absent = {"performance": not filmed, "details": not details.files}
+    links = "".join(f'<li><a href="#{key}">{name}</a></li>' for key, name in _PLACES if not absent.get(key))
     body = [
         _opening(capture, cameras, figure, stages),
         _verdict(capture, cameras, points, neutral, template, stages, len(todo)),
@@ -60,6 +64,7 @@ def page(
         sections.fit(capture, found, neutral, template),
         sections.expressions(figure),
         performance_section(capture, performance, blendshapes, figure, template) if filmed else "",
+        wrinkles_section(details, performance, albedo, own, template),
         sections.figures(stages),
         "</main>",
         _closing(stages, template),

@@ -26,8 +26,9 @@ from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.modelling import Freedom, Space
 from avatarbuild.tracking.rig import Rig
 
-FREEDOM = Freedom(share=0.3, length=20.0, depth=1.0, neutral=0.1, worth=0.2)
-"""Finer and, along the line of sight, freer than in modelling: there lies what shading knows and points do not."""
+FREEDOM = Freedom(share=0.03, least=0.015, length=20.0, depth=10.0, neutral=0.01, worth=0.2)
+"""Ten times freer along the line of sight than across it: there lies what shading knows and points do not; across it the
+tracked points know more, and the skin would slide."""
 _RIM = 7  # pixels of the face's border whose depth is not used
 _COVER = 3.0  # mm: a vertex this far from what its pixel shows is hidden
 _FACING = 0.2

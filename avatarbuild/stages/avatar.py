@@ -90,7 +90,7 @@ def run(
         "avatar.json": (json.dumps(about, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode(),
     }
     with progress.task("report.html", 1) as task:
-        seen = (capture, cameras, points, neutral, albedo, blendshapes, performance)
+        seen = (capture, cameras, points, neutral, albedo, blendshapes, performance, details)
         files["report.html"] = page(*seen, template, list(stamps))
         task.advance()
     figures = {

@@ -98,7 +98,8 @@ def run(
             count=min(options.keyframes, len(rows)),
         )
         task.advance()
-    files = details_files(synthesis)
+    numbers = performance.processed[rows][synthesis.keys.rows]  # of the video's frames, for whoever reads the files
+    files = details_files(replace(synthesis, keys=replace(synthesis.keys, rows=numbers)))
     if saved:
         path = source / capture.clip.file
         if not path.is_file():
