@@ -38,8 +38,8 @@ def wrinkles_section(
         "details",
         "Wrinkles",
         paragraph(
-            f"{synthesis.keys.count} keyframes of the video hold the wrinkles of every expression and their shadows; here "
-            "are the deepest. What all frames have in common is in the avatar's own normal map."
+            f"{synthesis.keys.count} keyframes of the video hold the wrinkles of every expression and their shadows; "
+            "here are the deepest. What all frames have in common is in the avatar's own normal map."
         )
         + row(pictures, "pair"),
     )

@@ -27,8 +27,8 @@ from avatarbuild.tracking.modelling import Freedom, Space
 from avatarbuild.tracking.rig import Rig
 
 FREEDOM = Freedom(share=0.03, least=0.015, length=20.0, depth=10.0, neutral=0.01, worth=0.2)
-"""Ten times freer along the line of sight than across it: there lies what shading knows and points do not; across it the
-tracked points know more, and the skin would slide."""
+"""Ten times freer along the line of sight than across it: there lies what shading knows and points do not. Across it
+points know more, and the skin would slide."""
 _RIM = 7  # pixels of the face's border whose depth is not used
 _COVER = 3.0  # mm: a vertex this far from what its pixel shows is hidden
 _FACING = 0.2
