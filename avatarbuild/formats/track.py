@@ -78,7 +78,7 @@ def track_bytes(path: Path) -> Callable[[Performance], bytes]:
 
 
 def track_csv(performance: Performance) -> bytes:
-    """The file's bytes: a header and a line a frame. The head: R = Rz(roll) Rx(pitch) Ry(yaw) diag(1, -1, -1)."""
+    """The file's bytes: a header and a line a frame. The head: R = Rz(roll) Rx(-pitch) Ry(-yaw) diag(1, -1, -1)."""
     places = [ARKIT_NAMES.index(name) for name in CSV_SHAPES]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

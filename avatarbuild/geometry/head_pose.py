@@ -47,7 +47,7 @@ def head_angles(rotation: np.ndarray, line: np.ndarray | None = None) -> np.ndar
     edge that looks at the camera has none.
 
     rotation (3, 3) x_cam = R x + t; `line` (3,) from the camera to the head, the optical axis where not given.
-    With A the least turn of that line onto the optical axis, A R = Rz(roll) Rx(pitch) Ry(yaw) diag(1, -1, -1).
+    With A the least turn of that line onto the optical axis, A R = Rz(roll) Rx(-pitch) Ry(-yaw) diag(1, -1, -1).
     """
     axis = np.array([0.0, 0.0, 1.0])
     line = axis if line is None else line / np.linalg.norm(line)
