@@ -22,7 +22,7 @@ from avatarbuild.report.wrinkles import wrinkles_section
 from avatarbuild.shading.light import Light
 from avatarbuild.shading.surface import draw, fine_skin
 from avatarbuild.simulation.noise import fractal
-from avatarbuild.stages import details, refinement
+from avatarbuild.stages import avatar, details, refinement
 from avatarbuild.template import ARKIT_NAMES
 from avatarbuild.tracking.lens import Lens
 
@@ -143,6 +143,15 @@ def test_the_report_shows_the_keyframes_with_and_without() -> None:
     assert section.count("<img") == 4
     assert {int(n) for n in re.findall(r"Frame (\d+), with details", section)} <= set(range(FRAMES))
     assert wrinkles_section(Details({}), performance(), albedo(), shapes(), synthetic.template()) == ""
+
+
+def test_states_of_wrinkles_for_other_viewers() -> None:
+    states = avatar.wrinkle_states(synthetic.template(), made(), performance())
+    assert len(states) == 2
+    for state in states:
+        assert set(state["weights"]) == ({ARKIT_NAMES[k] for k in BROWS} if raised(state["frame"]) else set())
+        assert {state[name].removeprefix("details/") for name in ("normal", "occlusion")} <= set(made().files)
+    assert avatar.wrinkle_states(synthetic.template(), Details({}), performance()) == []
 
 
 def test_without_a_video_there_are_no_details() -> None:

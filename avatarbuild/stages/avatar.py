@@ -25,6 +25,7 @@ from avatarbuild.artefacts import (
     Refinement,
 )
 from avatarbuild.formats import avatar_glb
+from avatarbuild.formats.details import JSON_FILE
 from avatarbuild.formats.images import encode_jpeg, encode_png
 from avatarbuild.formats.track import track_csv, track_json
 from avatarbuild.options import AvatarOptions
@@ -33,6 +34,7 @@ from avatarbuild.report.page import page
 from avatarbuild.template import Template
 
 AVATAR_VERSION = 1
+_SHOWN = 0.02  # weights below it are not told of a state of wrinkles
 
 
 def run(
@@ -63,7 +65,9 @@ def run(
             occlusion=encode_png(albedo.occlusion),
         )
         scale = {key: value for key, value in plain(cameras.scale).items() if not isinstance(value, list | dict)}
-        extras = {"scale": scale, "evidence": evidence(template, performance)}
+        extras: dict[str, Any] = {"scale": scale, "evidence": evidence(template, performance)}
+        if states := wrinkle_states(template, details, performance):
+            extras["wrinkles"] = states
         made = avatar_glb.write(template, rig, pictures, extras, performance)
         task.advance()
     stages = {
@@ -145,6 +149,21 @@ def provenance(
         "figures": {name: plain(artefact.figures) for name, artefact in stages.items()},
         "warnings": {name: list(artefact.warnings) for name, artefact in stages.items()},
     }
+
+
+def wrinkle_states(template: Template, details: Details, performance: Performance) -> list[dict[str, Any]]:
+    """
+    The keyframes' maps for viewers without the shader: which weights each belongs to, and its pictures beside the file.
+    """
+    if not details.files:
+        return []
+    states = []
+    for key in json.loads(details.files[JSON_FILE])["keyframes"]:
+        weights = zip(template.expression_names, performance.weights[key["frame"]], strict=True)
+        shown = {name: round(float(value), 3) for name, value in weights if value >= _SHOWN}
+        pictures = {name: f"details/{key[name]}" for name in ("normal", "occlusion")}
+        states.append({"frame": key["frame"], "weights": shown, **pictures})
+    return states
 
 
 def evidence(template: Template, performance: Performance) -> dict[str, float]:
