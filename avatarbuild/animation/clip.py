@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from avatarbuild.animation.picture import Model, exposed, frame, model
-from avatarbuild.artefacts import Albedo, Blendshapes, Performance
+from avatarbuild.artefacts import Albedo, Blendshapes, Performance, Refinement
 from avatarbuild.details.synthesis import Synthesis
 from avatarbuild.errors import InputError
 from avatarbuild.formats.clip import encode_clip
@@ -80,13 +80,12 @@ def rig_of(project: Project) -> Blendshapes:
 
     Raises InputError where there is none.
     """
-    refined = project.folder("refinement") / "refinement.npz"
     if project.stamp("tracking") is not None:
-        p = Performance.load(project.folder("tracking"))
-        if project.stamp("refinement") is not None and refined.is_file():
-            with np.load(refined) as arrays:
-                return Blendshapes(arrays["neutral"], arrays["deltas"], p.eye_centres)
-        return Blendshapes(p.neutral, p.deltas, p.eye_centres)
+        learnt = Performance.load(project.folder("tracking"))
+        if project.stamp("refinement") is None:
+            return Blendshapes(learnt.neutral, learnt.deltas, learnt.eye_centres)
+        made = Refinement.load(project.folder("refinement"))
+        return Blendshapes(made.neutral, made.deltas, learnt.eye_centres)
     if project.stamp("blendshapes") is None:
         raise InputError(f"{project.root} has no blendshapes yet: finish `avatarbuild run` first")
     return Blendshapes.load(project.folder("blendshapes"))
