@@ -380,3 +380,13 @@ def test_without_a_video_the_shapes_are_the_transferred_ones() -> None:
 def test_rider() -> None:
     rest, moves = np.ones((2, 3)), np.arange(12.0).reshape(2, 3, 2)
     np.testing.assert_allclose(Rider(rest, moves).at(np.array([1.0, 0.5])), 1 + moves[..., 0] + 0.5 * moves[..., 1])
+
+
+def test_the_eyes_turn_together_and_a_closed_one_follows() -> None:
+    both = np.array([[0.2, 0.1], [0.1, -0.1]])
+    np.testing.assert_allclose(gaze.yoked(both, np.zeros(2)), [[0.15, 0.0]] * 2)
+    one = np.array([[0.2, 0.1], [np.nan, np.nan]])
+    np.testing.assert_allclose(gaze.yoked(one, np.zeros(2)), [[0.2, 0.1]] * 2)
+    winking = gaze.yoked(both, np.array([0.0, 1.0]))
+    np.testing.assert_allclose(winking[0], (both[0] + 0.05 * both[1]) / 1.05)
+    assert np.isnan(gaze.yoked(np.full((2, 2), np.nan), np.zeros(2))).all()

@@ -19,7 +19,7 @@ from avatarbuild.geometry.head_pose import head_pose
 from avatarbuild.geometry.mipmap import Mipmap
 from avatarbuild.landmarks import canonical_face
 from avatarbuild.parallel import each_alone
-from avatarbuild.template import Template
+from avatarbuild.template import ARKIT_NAMES, Template
 from avatarbuild.tracking import dense, fit, gaze, lens_fit
 from avatarbuild.tracking.fit import Face, Pinned, State, Weights
 from avatarbuild.tracking.frames import Frame
@@ -31,6 +31,7 @@ log = logging.getLogger(__name__)
 
 ROUND_LEVELS = ((), (1,), (1, 0))  # of the pyramid for equation (6), round by round; the last goes on
 _STEPS = 3
+_BLINKS = tuple(ARKIT_NAMES.index(name) for name in ("eyeBlinkLeft", "eyeBlinkRight"))
 _SURE = 0.6  # quality from which a frame may tell about the lens
 _LENS_FRAMES = 6
 _ALIKE = 0.02  # of a point's square: neighbouring points err alike, fifty of them count as one
@@ -92,7 +93,8 @@ def aim(face: Face, frame: Frame, eyes: Eyes, w: Weights) -> Tracked:
 
 def settle(face: Face, aimed: Tracked, template: Template, eyes: Eyes, w: Weights) -> Tracked:
     """The frame with weights by the detector's points, the eyes' own held where they look from their rest."""
-    frame, angles = aimed.frame, aimed.gaze - eyes.rest
+    frame = aimed.frame
+    angles = gaze.yoked(aimed.gaze - eyes.rest, np.nan_to_num(frame.scores[list(_BLINKS)]))
     looks = gaze.look_weights(template, angles)[: len(frame.low)]
     fixed = gaze.turning(template, len(frame.low))
     frame = replace(frame, low=np.where(fixed, looks, 0.0), high=np.where(fixed, looks, frame.high))

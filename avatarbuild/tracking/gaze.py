@@ -70,6 +70,17 @@ def gaze(
     return out
 
 
+def yoked(angles: np.ndarray, shut: np.ndarray) -> np.ndarray:
+    """
+    (2, 2) both eyes' turn from their rest, yaw and pitch: the mean of the two, each worth 1 - shut (2,) in 0..1, or
+    what is known of one of them, since a person's eyes turn together [Hering 1868]; their rest holds how they converge.
+    """
+    worth = np.isfinite(angles).all(axis=1) * np.clip(1.05 - shut, 0.05, 1)
+    if worth.sum() == 0:
+        return angles
+    return np.repeat((worth @ np.nan_to_num(angles))[None] / worth.sum(), 2, axis=0)
+
+
 def look_weights(template: Template, angles: np.ndarray) -> np.ndarray:
     """(52,) the eyeLook weights of gaze angles (2, 2), zero elsewhere and where they are NaN: an eye's turn over the
     shape's own at weight 1."""
