@@ -2,6 +2,9 @@
 
 import os
 
+# before pycolmap: loaded after it, Python's zlib is mixed with the one in there, and the heap breaks
+import zlib  # noqa: F401
+
 __version__ = "0.1.0"
 
 # OpenMP threads that wait by spinning take the cores from whatever else runs on the machine.

@@ -14,6 +14,7 @@ import argparse
 import resource
 import sys
 import time
+import zlib  # noqa: F401 before pycolmap, see avatarbuild/__init__.py
 from pathlib import Path
 
 import pycolmap

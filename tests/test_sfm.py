@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -245,3 +247,9 @@ def test_the_right_focal_length_asks_for_no_other(solved: tuple[Scene, pycolmap.
     before = model.cameras[1].params.tolist()
     assert not focal.longer_fits(model)
     assert model.cameras[1].params.tolist() == before
+
+
+def test_python_s_zlib_works_beside_pycolmap() -> None:
+    code = "import avatarbuild, pycolmap, zlib\nfor i in range(200):\n    zlib.compress(bytes(5000 * i))\n"
+    code += "    c = zlib.compressobj(); c.compress(bytes(5000 * i)); c.flush()"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0
