@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -463,50 +463,34 @@ class Refinement:
 
 
 @dataclass(frozen=True)
-class Details:
-    """
-    The dynamic details in their written form (docs/formats.md): file name -> bytes of details.json and its pictures,
-    and frames/normals_%04d.npz on request; no files without a video.
-    """
+class Files:
+    """Finished files: name, with folders, -> bytes."""
 
     files: dict[str, bytes]
     figures: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
 
     def save(self, folder: Path) -> None:
-        _write_files(folder, self.files)
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, data in self.files.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(data)
 
-    @staticmethod
-    def load(folder: Path) -> Details:
-        return Details(_read_files(folder))
-
-
-@dataclass(frozen=True)
-class Avatar:
-    """The deliverables: file name -> bytes (avatar.glb, avatar.json, report.html, …)."""
-
-    files: dict[str, bytes]
-    figures: dict[str, Any] = field(default_factory=dict)
-    warnings: list[str] = field(default_factory=list)
-
-    def save(self, folder: Path) -> None:
-        _write_files(folder, self.files)
-
-    @staticmethod
-    def load(folder: Path) -> Avatar:
-        return Avatar(_read_files(folder))
+    @classmethod
+    def load(cls, folder: Path) -> Self:
+        files = [path for path in sorted(folder.rglob("*")) if path.is_file() and path.name != "stamp.json"]
+        return cls({path.relative_to(folder).as_posix(): path.read_bytes() for path in files})
 
 
-def _write_files(folder: Path, files: dict[str, bytes]) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, data in files.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(data)
+class Details(Files):
+    """
+    The dynamic details in their written form (docs/formats.md): details.json and its pictures, and
+    frames/normals_%04d.npz on request; no files without a video.
+    """
 
 
-def _read_files(folder: Path) -> dict[str, bytes]:
-    files = [path for path in sorted(folder.rglob("*")) if path.is_file() and path.name != "stamp.json"]
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+class Avatar(Files):
+    """The deliverables: avatar.glb, avatar.json, report.html, …"""
 
 
 def _write_json(path: Path, value: Any) -> None:

@@ -9,6 +9,7 @@ from avatarbuild.details import layered, synthesis
 from avatarbuild.details.distances import distances, positions_at, shares
 from avatarbuild.details.edges import feature_edges, lengths, strain
 from avatarbuild.details.synthesis import flat_layers, train
+from avatarbuild.geometry.meshes import vertex_of_uv
 from avatarbuild.template import Template
 
 SIDE, FRAMES = 96, 14
@@ -105,7 +106,7 @@ def test_a_known_relief_comes_back(template, heads, made):
     made_map, true = made.evaluate(made.strain_of(new)), _relief(template, new)
     # near the edge whose strain drives the stripes
     edge = template.mean[made.edges[0]].mean(axis=0)
-    corner = synthesis._vertex_of(template)[made.grid.corners[:, 0]]
+    corner = vertex_of_uv(template.triangles, template.uv_triangles, len(template.uv))[made.grid.corners[:, 0]]
     near = made.texels[np.linalg.norm(template.mean[corner] - edge, axis=1) < 12]
     apart = np.abs((made_map - true).reshape(-1, 4)[near])
     nothing = np.abs((flat_layers(SIDE) - true).reshape(-1, 4)[near])

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from avatarbuild.animation.skin_light import bent, shaded_hollows, shading
 from avatarbuild.artefacts import Albedo, Blendshapes
 from avatarbuild.details.synthesis import Synthesis
-from avatarbuild.geometry.meshes import vertex_normals
+from avatarbuild.geometry.meshes import vertex_normals, vertex_of_uv
 from avatarbuild.geometry.mipmap import Mipmap, build_mipmap, sample_texture
 from avatarbuild.geometry.raster import interpolate
 from avatarbuild.geometry.tangents import vertex_tangents
@@ -62,8 +62,7 @@ class Model:
 def model(template: Template, rig: Blendshapes, albedo: Albedo, details: Synthesis | None) -> Model:
     """What is needed of an avatar for its frames."""
     refined = template.subdivide(1)
-    corner = np.zeros(len(refined.uv), np.int64)
-    corner[refined.uv_triangles.reshape(-1)] = refined.triangles.reshape(-1)
+    corner = vertex_of_uv(refined.triangles, refined.uv_triangles, len(refined.uv))
     step = max(1, albedo.albedo.shape[0] // _TEXTURE)
     colour = shrunk(decode_srgb(albedo.albedo).astype(np.float32), step)
     side = colour.shape[0]

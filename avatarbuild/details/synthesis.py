@@ -23,6 +23,7 @@ from avatarbuild.details import layered
 from avatarbuild.details.choice import choose
 from avatarbuild.details.distances import BETA, distances, positions_at, shares
 from avatarbuild.details.edges import feature_edges, lengths, strain
+from avatarbuild.geometry.meshes import vertex_of_uv
 from avatarbuild.template import Template
 from avatarbuild.texture.chart import continued, draw_chart
 
@@ -207,17 +208,10 @@ def _chosen(
     used = np.flatnonzero(total > _LEAST)
     at = skin.part(used[:: max(len(used) // _SAMPLES, 1)])
     flats = [_flat(*frame) for frame in small]
-    corner = _vertex_of(template)[at.corners]
+    corner = vertex_of_uv(template.triangles, template.uv_triangles, len(template.uv))[at.corners]
     points = np.einsum("tc,ftcx->ftx", at.barycentric, vertices[:, corner])
     maps, sure = (np.stack([part[at.flat] for part in parts]).astype(np.float64) for parts in zip(*flats))
     return choose(maps, sure, points, vertices[:, edges], strains, count, beta, ridge)
-
-
-def _vertex_of(template: Template) -> np.ndarray:
-    """(u,) the vertex of each texture coordinate."""
-    found = np.zeros(len(template.uv), np.int64)
-    found[template.uv_triangles.reshape(-1)] = template.triangles.reshape(-1)
-    return found
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,13 @@ def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
 
 
+def vertex_of_uv(triangles: np.ndarray, uv_triangles: np.ndarray, count: int) -> np.ndarray:
+    """(count,) the vertex that each texture coordinate belongs to, of triangles and uv_triangles (m, 3)."""
+    found = np.zeros(count, np.int64)
+    found[uv_triangles.reshape(-1)] = triangles.reshape(-1)
+    return found
+
+
 def vertex_areas(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """(n,) a third of the area of the triangles around each vertex."""
     share = np.repeat(face_areas(vertices, triangles) / 3, 3)

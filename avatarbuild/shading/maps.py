@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from avatarbuild.geometry.meshes import vertex_normals
+from avatarbuild.geometry.meshes import vertex_normals, vertex_of_uv
 from avatarbuild.geometry.tangents import vertex_tangents
 from avatarbuild.shading.relief import Relief
 from avatarbuild.shading.surface import Drawn
@@ -75,8 +75,7 @@ def frames(chart: FaceChart, vertices: np.ndarray) -> Frames:
     """The tangent frames that a renderer makes at the texels of a posed head (n, 3), as glTF asks."""
     template = chart.template
     normals = vertex_normals(vertices, template.triangles)
-    vertex_of = np.zeros(len(template.uv), np.int64)
-    vertex_of[template.uv_triangles.reshape(-1)] = template.triangles.reshape(-1)
+    vertex_of = vertex_of_uv(template.triangles, template.uv_triangles, len(template.uv))
     cut = vertex_tangents(vertices[vertex_of], normals[vertex_of], template.uv, template.uv_triangles)
     normal = _unit(chart.field(normals))
     mixed = np.einsum("tk,tkc->tc", chart.barycentric, cut[chart.uv_corners])
@@ -105,14 +104,6 @@ def tangent_normals(
     local = np.stack([(n * axis).sum(axis=1) for axis in (axes.tangent, axes.bitangent, axes.normal)], axis=1)
     local = np.where((sure > 0)[:, None] & (local[:, 2:] > 0.1), local, [0.0, 0.0, 1.0])
     return local.astype(np.float32), np.clip(sure, 0, 1).astype(np.float32), at(found.d) * into * (sure > 0)
-
-
-def combined(base: np.ndarray, detail: np.ndarray) -> np.ndarray:
-    """
-    Two tangent-space normals (…, 3) laid over one another: (b_xy + d_xy, b_z d_z), normalised. Source: Barré-Brisebois
-    and Hill, Blending in detail, 2012 (whiteout).
-    """
-    return _unit(np.concatenate([base[..., :2] + detail[..., :2], base[..., 2:] * detail[..., 2:]], axis=-1))
 
 
 def _remapped(image: np.ndarray, x: np.ndarray, y: np.ndarray, how: int) -> np.ndarray:

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from avatarbuild.parallel import each_alone
-from avatarbuild.shading.light import LEAST, Light, clip_light
+from avatarbuild.shading.light import Light, clip_light
 from avatarbuild.shading.surface import Drawn, FineSkin, draw, picture
 from avatarbuild.tracking.dense import flow_there_and_back, levelled
 from avatarbuild.tracking.lens import Lens
@@ -79,14 +79,8 @@ def watch(
     for one in each_alone(look, views):
         seen.append(one)
         advance()
-    none = [np.zeros_like(grey) for _, _, grey in seen]
-    light = clip_light([(drawn, grey, zero) for (_, drawn, grey), zero in zip(seen, none, strict=True)])
-    frames = list(
-        each_alone(
-            lambda k: align(*seen[k], light, float(light.gains[k])),
-            range(len(seen)),
-        )
-    )
+    light = clip_light([(drawn, grey, np.zeros_like(grey)) for _, drawn, grey in seen])
+    frames = list(each_alone(lambda k: align(*seen[k], light, float(light.gains[k])), range(len(seen))))
     shared = what_all_share(frames, light)
     more = [at_uv(shared, one.drawn.uv) for one in frames]
     light = clip_light([(one.drawn, one.grey, m) for one, m in zip(frames, more, strict=True)])
@@ -117,7 +111,7 @@ def what_all_share(frames: list[Seen], light: Light) -> np.ndarray:
     for k, one in enumerate(frames):
         drawn = one.drawn
         on = (cv2.erode(drawn.on.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0) & (one.grey > 0)
-        expected = light.gains[k] * np.maximum(light.shade(drawn.normal), LEAST) * np.exp(drawn.tone)
+        expected = light.gains[k] * light.shade(drawn.normal) * np.exp(drawn.tone)
         off = np.log(np.maximum(one.grey[on], 1e-3) / expected[on])
         column, row = np.clip(drawn.uv[on] * [_CHART, -_CHART] + [0, _CHART], 0, _CHART - 1).astype(np.int64).T
         at, weight = row * _CHART + column, drawn.facing[on]

@@ -19,11 +19,10 @@ from scipy.ndimage import map_coordinates
 from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.shading.relief import Relief
 from avatarbuild.shading.surface import Drawn
-from avatarbuild.solvers.sparse import conjugate_gradients
 from avatarbuild.template import Template
 from avatarbuild.tracking.fit import State
 from avatarbuild.tracking.lens import Lens
-from avatarbuild.tracking.modelling import Freedom, Space
+from avatarbuild.tracking.modelling import Freedom, Space, nearest, with_rest
 from avatarbuild.tracking.rig import Rig
 
 FREEDOM = Freedom(share=0.03, least=0.015, length=20.0, depth=10.0, neutral=0.01, worth=0.2)
@@ -62,36 +61,17 @@ def refine(
 ) -> Rig:
     """The rig nearest to `rig` that meets the planes of all frames; axis (3,) the mean line of sight, head frame."""
     space = Space(template, rig, axis, freedom)
-    n, a, free = len(space.free), len(rig.deltas), space.free
-    weights = np.concatenate([np.ones((len(states), 1)), [s.weights for s in states]], axis=1)
+    free, count = space.free, len(states)
     normal = np.stack([p.normal[free] for p in asked])
     worth = freedom.worth * np.stack([p.sure[free] for p in asked])
     offset = np.stack([p.offset[free] for p in asked])
 
-    def strayed(y: np.ndarray) -> np.ndarray:
-        return space.stray[:, :, None] * (y @ space.turn)
+    def along(distance: np.ndarray) -> np.ndarray:
+        """(f, 3 n) of distances (f, n) along the normals."""
+        return (distance[..., None] * normal).reshape(count, -1)
 
-    def spread(pull: np.ndarray) -> np.ndarray:
-        """(1 + a, n, 3) of what each frame pulls its vertices (f, n) by along their normals."""
-        return strayed((weights.T @ (pull[..., None] * normal).reshape(len(states), -1)).reshape(1 + a, n, 3))
+    def pulled(moved: np.ndarray) -> np.ndarray:
+        return along((moved.reshape(normal.shape) * normal).sum(axis=-1) * worth)
 
-    def columns(y: np.ndarray) -> np.ndarray:
-        return np.ascontiguousarray(y.transpose(1, 0, 2).reshape(n, -1))
-
-    def back(y: np.ndarray) -> np.ndarray:
-        return y.reshape(n, 1 + a, 3).transpose(1, 0, 2)
-
-    def left(y: np.ndarray) -> np.ndarray:
-        moved = (weights @ strayed(y).reshape(1 + a, -1)).reshape(len(states), n, 3)
-        return spread((moved * normal).sum(axis=-1) * worth) + back(space.prior @ columns(y))
-
-    y = conjugate_gradients(
-        *(left, spread(worth * offset), np.zeros((1 + a, n, 3))),
-        lambda r: back(space.factor.solve(columns(r))),
-        *(freedom.steps, freedom.tolerance),
-    )
-    change = strayed(y)
-    neutral, deltas = rig.neutral.copy(), rig.deltas.copy()
-    neutral[free] += change[0]
-    deltas[:, free] += change[1:]
-    return Rig(neutral, deltas, rig.triangles)
+    still = np.zeros((1 + len(rig.deltas), len(free), 3))
+    return nearest(space, rig, with_rest(states), pulled, along(worth * offset), still, freedom)

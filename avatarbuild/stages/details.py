@@ -20,6 +20,7 @@ from avatarbuild.details.synthesis import Synthesis, train
 from avatarbuild.errors import InputError
 from avatarbuild.formats import video
 from avatarbuild.formats.details import details_files
+from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.options import DetailsOptions
 from avatarbuild.parallel import each_alone
 from avatarbuild.progress import Progress
@@ -143,7 +144,7 @@ def occlusion_of(
     template, whole = chart.template, chart.chart
     skin = whole.part == 1
     position = whole.field(vertices.astype(np.float32), template.triangles)
-    normal = whole.field(maps.vertex_normals(vertices, template.triangles).astype(np.float32), template.triangles)
+    normal = whole.field(vertex_normals(vertices, template.triangles).astype(np.float32), template.triangles)
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
     if raised is not None:
         position.reshape(-1, 3)[chart.flat], normal.reshape(-1, 3)[chart.flat] = raised

@@ -17,6 +17,7 @@ preconditioned by one factor of K for all shapes. n free vertices, a shapes, F f
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -170,11 +171,7 @@ def learn(
     n, a = len(space.free), len(base.deltas)
     column = np.full(len(base.neutral), -1)
     column[space.free] = np.arange(n)
-    weights = np.concatenate([np.ones((len(states), 1)), [s.weights for s in states]], axis=1)
-
-    def strayed(y: np.ndarray) -> np.ndarray:
-        return space.stray[:, :, None] * (y @ space.turn)
-
+    weights = with_rest(states)
     present = np.concatenate(
         [(face.rig.neutral - base.neutral)[None, space.free], (face.rig.deltas - base.deltas)[:, space.free]]
     )
@@ -186,10 +183,38 @@ def learn(
         G.append(rows)
         target[i] = rows.T @ (rows @ here[i] - r)
 
-    def data(y: np.ndarray) -> np.ndarray:
-        moved = weights @ strayed(y).reshape(1 + a, -1)
-        pulled = np.stack([g.T @ (g @ d) for g, d in zip(G, moved, strict=True)])
-        return strayed((weights.T @ pulled).reshape(1 + a, n, 3))
+    def pulled(moved: np.ndarray) -> np.ndarray:
+        return np.stack([g.T @ (g @ d) for g, d in zip(G, moved, strict=True)])
+
+    return nearest(space, base, weights, pulled, target, y0, freedom)
+
+
+def with_rest(states: list[State]) -> np.ndarray:
+    """(F, 1 + a) what the neutral and each shape weigh in every frame."""
+    return np.concatenate([np.ones((len(states), 1)), [s.weights for s in states]], axis=1)
+
+
+def nearest(
+    space: Space,
+    base: Rig,
+    weights: np.ndarray,
+    pulled: Callable[[np.ndarray], np.ndarray],
+    target: np.ndarray,
+    y0: np.ndarray,
+    freedom: Freedom,
+) -> Rig:
+    """
+    The rig near `base` that solves  sum_f W_f^T H_f W_f y + K y = sum_f W_f^T b_f  for the strayings y (1 + a, n, 3),
+    from y0: weights (F, 1 + a); pulled, H_f d_f of what all frames' free vertices moved by, (F, 3 n) to (F, 3 n);
+    target b (F, 3 n).
+    """
+    n, a = len(space.free), len(base.deltas)
+
+    def strayed(y: np.ndarray) -> np.ndarray:
+        return space.stray[:, :, None] * (y @ space.turn)
+
+    def spread(frames: np.ndarray) -> np.ndarray:
+        return strayed((weights.T @ frames).reshape(1 + a, n, 3))
 
     def columns(y: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(y.transpose(1, 0, 2).reshape(n, -1))
@@ -198,8 +223,8 @@ def learn(
         return y.reshape(n, 1 + a, 3).transpose(1, 0, 2)
 
     y = conjugate_gradients(
-        lambda y: data(y) + back(space.prior @ columns(y)),
-        strayed((weights.T @ target).reshape(1 + a, n, 3)),
+        lambda y: spread(pulled(weights @ strayed(y).reshape(1 + a, -1))) + back(space.prior @ columns(y)),
+        spread(target),
         y0,
         lambda y: back(space.factor.solve(columns(y))),
         freedom.steps,
