@@ -1,0 +1,1 @@
+"""Local web pages: the viewer of an avatar, and corrections by hand."""
