@@ -8,7 +8,7 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,6 +24,7 @@ from avatarbuild.errors import InputError
 from avatarbuild.progress import Task
 from avatarbuild.project import Project, default_project, digest_files
 from avatarbuild.template_files import SHIPPED, resolve
+from avatarbuild.whole_file import whole_file
 
 DONE, FAULT, BAD_INPUT, STOPPED = 0, 1, 2, 130
 JSON_VERSION = 1
@@ -264,10 +265,10 @@ def track(
         raise InputError(f"{project.root}: {found}: bring the avatar up to date with `avatarbuild run` first")
     template = project.template().load()
     inputs = {name: pipeline.load_artefact(project, name) for name in needed}
-    with _written_whole(output) as write:
+    with whole_file(output) as place:
         chosen = _chosen(project)["capture"]
         made = new_footage.track(**inputs, options=chosen, progress=Bars(), template=template, path=video)
-        write(writer(made))
+        place.write_bytes(writer(made))
     if as_json:
         answer = {"version": JSON_VERSION, "track": str(output), "figures": made.figures, "warnings": made.warnings}
         typer.echo(json.dumps(answer, indent=1, ensure_ascii=False))
@@ -276,28 +277,6 @@ def track(
         screen.print(f"[yellow]warning[/] {rich.markup.escape(warning)}")
     frames, good = made.figures["frames"], made.figures["good"]
     screen.print(f"{output}: {frames} frames, {good} of them tracked well", soft_wrap=True)
-
-
-@contextlib.contextmanager
-def _written_whole(path: Path) -> Iterator[Callable[[bytes], None]]:
-    """A file that is written at one stroke at the end; that it can be written is known at the beginning."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        partial.touch()
-    except OSError as error:
-        raise InputError(f"{path} cannot be written ({error.strerror}): name another file with -o") from None
-
-    def write(data: bytes) -> None:
-        try:
-            partial.write_bytes(data)
-            partial.replace(path)
-        except OSError as error:
-            raise InputError(f"{path} cannot be written ({error.strerror}): name another file with -o") from None
-
-    try:
-        yield write
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 @app.command()
@@ -346,12 +325,8 @@ def check(
 
     checkup = doctor.examine(capture, Bars())
     place = picture if picture is not None else default_project(capture).with_suffix(".check.png")
-    try:
-        place.write_bytes(checkup.picture)
-    except OSError as error:
-        raise InputError(
-            f"the picture cannot be written to {place} ({error.strerror}): name another file with --picture"
-        ) from None
+    with whole_file(place) as partial:
+        partial.write_bytes(checkup.picture)
     if as_json:
         typer.echo(json.dumps(checkup.as_json(), indent=1, ensure_ascii=False))
         return

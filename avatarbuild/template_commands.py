@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
-import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +13,7 @@ from avatarbuild.template import Template, template_folder
 from avatarbuild.template_files import SHIPPED, resolve, templates_in
 from avatarbuild.template_import import bfm, flame, ict
 from avatarbuild.template_import.transfer import to_template
+from avatarbuild.whole_file import whole_file
 
 log = logging.getLogger(__name__)
 
@@ -126,10 +125,8 @@ def import_template(source: Path, kind: str | None, output: Path) -> Template:
     )
     template = to_template(head, Template.load())
     output.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=output.parent) as folder:
-        file = Path(folder) / output.name
-        template.save(file)
-        os.replace(file, output)
+    with whole_file(output) as partial:
+        template.save(partial)
     return template
 
 

@@ -22,6 +22,7 @@ from avatarbuild.project import Project
 from avatarbuild.report.rendering import View
 from avatarbuild.report.shading import Light
 from avatarbuild.template import Template
+from avatarbuild.whole_file import whole_file
 
 log = logging.getLogger(__name__)
 
@@ -62,15 +63,8 @@ def animate(
     drawn = model(template, rig_of(project), albedo, details)
     view = View(size=size, height=300.0, centre=(0.0, -15.0, -20.0), distance=900.0)
     turns = np.tile(np.eye(3), (len(frames.weights), 1, 1)) if frames.head is None else frames.head
-    partial = output.with_name(f".{output.stem}.partial{output.suffix}")
-    try:
-        with progress.task(f"{len(turns)} frames", len(turns)) as task:
-            encode_clip(partial, _frames(drawn, frames.weights, turns, view, lit, task), fps)
-        partial.replace(output)
-    except OSError as error:
-        raise InputError(f"{output}: cannot be written ({error.strerror or error}); name another file") from None
-    finally:
-        partial.unlink(missing_ok=True)
+    with whole_file(output) as partial, progress.task(f"{len(turns)} frames", len(turns)) as task:
+        encode_clip(partial, _frames(drawn, frames.weights, turns, view, lit, task), fps)
     return len(turns)
 
 
