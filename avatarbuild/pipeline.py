@@ -55,6 +55,7 @@ STAGES = (
         options.NeutralOptions,
         2,
         "the person's head: model, thin shell, eyes, teeth",
+        corrected="photo",
     ),
     Stage(
         "albedo",

@@ -17,7 +17,7 @@ from typing import Any
 import filelock
 
 from avatarbuild.errors import InputError
-from avatarbuild.formats.corrections import Corrections, read_corrections
+from avatarbuild.formats.corrections import Corrections, corrections_bytes, read_corrections
 from avatarbuild.template_files import SHIPPED, TemplateFile, resolve
 
 _PARTIAL, _OLD = ".saving-", ".replaced-"
@@ -82,6 +82,22 @@ class Project:
         except FileNotFoundError:
             return Corrections()
         return read_corrections(data, str(self.corrections_file))
+
+    def save_corrections(self, corrections: Corrections) -> None:
+        """Raises InputError where the file cannot be written; what was there before stays."""
+        place = self.corrections_file
+        partial = place.with_name(f".{place.name}.{os.getpid()}")
+        try:
+            with partial.open("wb") as f:
+                f.write(corrections_bytes(corrections))
+                f.flush()
+                os.fsync(f.fileno())
+            partial.replace(place)
+        except OSError as error:
+            partial.unlink(missing_ok=True)
+            raise InputError(
+                f"{place} cannot be written ({error.strerror or error}): free some space, or ask for permission"
+            ) from None
 
     def stamp(self, stage: str) -> dict[str, Any] | None:
         """What a finished stage left in its stamp.json; None where the stage has not been run."""

@@ -20,7 +20,7 @@ import numpy as np
 from avatarbuild.artefacts import Albedo, Blendshapes, Cameras, Capture, Clip, Neutral, Performance, Views
 from avatarbuild.footage import read_clip
 from avatarbuild.formats import video
-from avatarbuild.formats.corrections import Corrections
+from avatarbuild.formats.corrections import Corrections, corrections_bytes, read_corrections
 from avatarbuild.new_footage import identity
 from avatarbuild.options import CaptureOptions, TrackingOptions
 from avatarbuild.progress import Silent
@@ -213,6 +213,7 @@ def corrections(project: Path, source: Path, judge: Any, template: Template, sec
     told = Corrections(
         {i: {k: true[i, k].astype(float) + 0.5 for k in np.flatnonzero(shown[i]).tolist()} for i in numbers}
     )
+    told = read_corrections(corrections_bytes(told), "corrections.json")  # as the page of corrections saves them
     hurt = given | {"capture": replace(given["capture"], clip=bad)}
     found = {
         "sound points": tracked(given, template, source),

@@ -24,7 +24,8 @@ from avatarbuild.tracking.markers import SKIN, Clicks
 SCHEMA = json.loads((Path(__file__).parent.parent / "docs" / "schemas" / "corrections.schema.json").read_text())
 TOLD = Corrections(
     {12: {48: np.array([100.5, 200.25]), 30: np.array([1.0, 2.0])}},
-    {"IMG_0003": {"lipsOuter": np.array([[10.5, 11.5], [12.5, 13.5]])}},
+    {"IMG_0003": {"lipsOuterUpper": np.array([[10.5, 11.5], [12.5, 13.5]])}},
+    (12, 40),
 )
 
 
@@ -35,7 +36,7 @@ def test_there_and_back() -> None:
     again = read_corrections(data, "corrections.json")
     assert corrections_bytes(again) == data
     np.testing.assert_allclose(again.video[12][48], TOLD.video[12][48])
-    np.testing.assert_allclose(again.photo["IMG_0003"]["lipsOuter"], TOLD.photo["IMG_0003"]["lipsOuter"])
+    np.testing.assert_allclose(again.photo["IMG_0003"]["lipsOuterUpper"], TOLD.photo["IMG_0003"]["lipsOuterUpper"])
 
 
 def test_points_by_name() -> None:
@@ -56,7 +57,10 @@ def test_points_by_name() -> None:
         ('{"version": 1, "video": {"1": {"68": [1, 2]}}}', "no point '68'"),
         ('{"version": 1, "video": {"1": {"3": [1]}}}', "expected [x, y]"),
         ('{"version": 1, "video": {"1": {"3": [1, NaN]}}}', "expected [x, y]"),
-        ('{"version": 1, "photo": {"a": {"lips": [1, 2]}}}', "expected a list of [x, y]"),
+        ('{"version": 1, "photo": {"a": {"lips": [[1, 2], [3, 4]]}}}', "no such contour"),
+        ('{"version": 1, "photo": {"a": {"browLeft": [1, 2]}}}', "expected a list of 2 or more [x, y]"),
+        ('{"version": 1, "photo": {"a": {"browLeft": [[1, 2]]}}}', "expected a list of 2 or more [x, y]"),
+        ('{"version": 1, "reviewed": [1, -1]}', "'reviewed' must be a list"),
     ],
 )
 def test_faults_in_one_line(said: str, says: str) -> None:
@@ -66,18 +70,24 @@ def test_faults_in_one_line(said: str, says: str) -> None:
     assert "\n" not in str(fault.value)
 
 
-def test_only_tracking_and_what_follows_is_stale(tmp_path: Path) -> None:
+def test_only_what_depends_on_a_section_is_stale(tmp_path: Path) -> None:
     chosen = options.stage_options("standard", {})
     before = pipeline.keys("x", "t", chosen, Corrections())
     assert before == pipeline.keys("x", "t", chosen)
-    after = pipeline.keys("x", "t", chosen, TOLD)
-    stale = [name for name in pipeline.NAMES if after[name] != before[name]]
-    assert stale == pipeline.NAMES[pipeline.NAMES.index("tracking") :]
-    assert pipeline.keys("x", "t", chosen, replace(TOLD, video={})) == before
+
+    def stale(told: Corrections) -> list[str]:
+        after = pipeline.keys("x", "t", chosen, told)
+        return [name for name in pipeline.NAMES if after[name] != before[name]]
+
+    assert stale(replace(TOLD, photo={})) == pipeline.NAMES[pipeline.NAMES.index("tracking") :]
+    assert stale(replace(TOLD, video={})) == pipeline.NAMES[pipeline.NAMES.index("neutral") :]
+    assert stale(replace(TOLD, video={}, photo={})) == []
     project = Project(tmp_path)
     assert project.corrections() == Corrections()
-    project.corrections_file.write_bytes(corrections_bytes(TOLD))
+    project.save_corrections(TOLD)
     assert project.corrections().digest("video") == TOLD.digest("video")
+    assert project.corrections().reviewed == TOLD.reviewed
+    assert [path.name for path in tmp_path.iterdir()] == ["corrections.json"]
 
 
 def noise(rng: np.random.Generator) -> np.ndarray:

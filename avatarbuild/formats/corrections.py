@@ -43,6 +43,11 @@ POINT_NAMES = {
     "upperLipBottom": 62,
     "lowerLipTop": 66,
 }
+# lids, lips and the middles of the brows, each a line from the subject's right to their left
+CONTOURS = (
+    *("lidUpperRight", "lidLowerRight", "lidUpperLeft", "lidLowerLeft", "browRight", "browLeft"),
+    *("lipsOuterUpper", "lipsOuterLower", "lipsInnerUpper", "lipsInnerLower"),
+)
 _CENTRE = 0.5
 
 
@@ -50,11 +55,13 @@ _CENTRE = 0.5
 class Corrections:
     """
     video: decoded frame -> {one of the 68 points: (2,) pixels of the upright frame};  photo: name of the stored photo
-    -> {contour: (q, 2) pixels}. The first pixel's centre is at 0.5.
+    -> {one of CONTOURS: (q, 2) pixels}. The first pixel's centre is at 0.5.  reviewed: frames that the user has looked
+    at; nothing depends on it.
     """
 
     video: dict[int, dict[int, np.ndarray]] = field(default_factory=dict)
     photo: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
+    reviewed: tuple[int, ...] = ()
 
     def digest(self, section: str) -> str:
         """SHA-256 of what one section says, '' where it says nothing."""
@@ -70,8 +77,8 @@ def read_corrections(data: bytes, name: str) -> Corrections:
         raise InputError(f"{name} is not valid JSON ({error}): mend or delete it") from None
     if not isinstance(found, dict) or found.get("version") != VERSION:
         raise InputError(f'{name} must be an object with "version": {VERSION}: mend or delete it')
-    if unknown := set(found) - {"version", *SECTIONS}:
-        raise InputError(f"{name} has an unknown section '{min(unknown)}': there are {' and '.join(SECTIONS)}")
+    if unknown := set(found) - {"version", *SECTIONS, "reviewed"}:
+        raise InputError(f"{name} has an unknown section '{min(unknown)}': there are {', '.join(SECTIONS)}, reviewed")
     sections = [found.get(section, {}) for section in SECTIONS]
     for section, rows in zip(SECTIONS, sections, strict=True):
         if not isinstance(rows, dict) or not all(isinstance(points, dict) for points in rows.values()):
@@ -83,16 +90,20 @@ def read_corrections(data: bytes, name: str) -> Corrections:
         where = f"{name}, video frame {key}"
         for point, at in points.items():
             video.setdefault(int(key), {})[_index(point, where)] = _pixels(at, f"{where}, point {point}")[0]
-    photo = {
-        key: {contour: _pixels(at, f"{name}, photo {key}, {contour}", many=True) for contour, at in contours.items()}
-        for key, contours in sections[1].items()
-    }
-    return Corrections(video, {key: contours for key, contours in photo.items() if contours})
+    photo: dict[str, dict[str, np.ndarray]] = {}
+    for key, contours in sections[1].items():
+        for contour, at in contours.items():
+            where = f"{name}, photo {key}, {contour}"
+            if contour not in CONTOURS:
+                raise InputError(f"{where}: no such contour: there are {', '.join(CONTOURS)}")
+            photo.setdefault(key, {})[contour] = _pixels(at, where, least=2)
+    return Corrections(video, photo, _frames(found.get("reviewed", []), name))
 
 
 def corrections_bytes(c: Corrections) -> bytes:
     """The file's bytes: the same for the same corrections."""
-    return (json.dumps({"version": VERSION, **_document(c)}, indent=1, ensure_ascii=False) + "\n").encode()
+    more = {"reviewed": sorted(set(c.reviewed))} if c.reviewed else {}
+    return (json.dumps({"version": VERSION, **_document(c), **more}, indent=1, ensure_ascii=False) + "\n").encode()
 
 
 def _document(c: Corrections) -> dict[str, Any]:
@@ -121,15 +132,21 @@ def _index(point: str, where: str) -> int:
     raise InputError(f"{where}: no point '{point}': name one of the 68 by its number, 0 to 67, or like 'noseTip'")
 
 
-def _pixels(at: Any, where: str, many: bool = False) -> np.ndarray:
-    """(q, 2) pixels, one where not `many`."""
-    rows = at if many else [at]
+def _frames(rows: Any, name: str) -> tuple[int, ...]:
+    if not isinstance(rows, list) or not all(type(frame) is int and frame >= 0 for frame in rows):
+        raise InputError(f"{name}: 'reviewed' must be a list of numbers of decoded frames, 0 or more")
+    return tuple(sorted(set(rows)))
+
+
+def _pixels(at: Any, where: str, least: int = 0) -> np.ndarray:
+    """(q, 2) pixels, q at least `least`; one where that is 0."""
+    rows = at if least else [at]
     sound = isinstance(rows, list) and all(
         isinstance(row, list)
         and len(row) == 2
         and all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in row)
         for row in rows
     )
-    if not sound or not rows:
-        raise InputError(f"{where}: expected {'a list of ' if many else ''}[x, y] in pixels")
+    if not sound or len(rows) < least:
+        raise InputError(f"{where}: expected {f'a list of {least} or more ' if least else ''}[x, y] in pixels")
     return np.array(rows, np.float64) + _CENTRE

@@ -19,7 +19,8 @@ class Sightings:
 
     photo (k,) into the capture's photos; rotation (k, 3, 3), translation (k, 3), focal (k,) pixels; pictures
     (k, 478, 2) on the plane z = 1; pose (k, 3) degrees; points (478, 3) triangulated, NaN where too few photos agree;
-    precision (478, 3, 3) = mean over photos of w (I - d d^T): across the rays 1, along a common ray 0.
+    precision (478, 3, 3) = mean over photos of w (I - d d^T): across the rays 1, along a common ray 0. drawn: the
+    template's contours whose landmarks lie where the user has drawn them.
     """
 
     photo: np.ndarray
@@ -30,6 +31,7 @@ class Sightings:
     pose: np.ndarray
     points: np.ndarray
     precision: np.ndarray
+    drawn: frozenset[str] = frozenset()
 
     @property
     def centres(self) -> np.ndarray:

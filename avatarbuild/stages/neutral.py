@@ -6,15 +6,19 @@ Everything is fitted in the cloud's frame and moved to the head frame at the end
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from avatarbuild.artefacts import Cameras, Capture, Cloud, Neutral
 from avatarbuild.errors import InputError
+from avatarbuild.formats.corrections import Corrections
 from avatarbuild.geometry import meshes
 from avatarbuild.options import NeutralOptions
 from avatarbuild.progress import Progress
 from avatarbuild.registration import morphable, shell
 from avatarbuild.registration.counterparts import Target, counterparts
+from avatarbuild.registration.drawn import as_drawn
 from avatarbuild.registration.eyes import eyeballs
 from avatarbuild.registration.inner_parts import inner_parts
 from avatarbuild.registration.iris_sightings import Photos
@@ -40,10 +44,16 @@ COARSE_CLOUD = [Step(100, 1, 20, 20), Step(100, 0.5, 5, 12), Step(100, 0.1, 1, 8
 
 
 def run(
-    capture: Capture, cameras: Cameras, points: Cloud, options: NeutralOptions, progress: Progress, template: Template
+    capture: Capture,
+    cameras: Cameras,
+    points: Cloud,
+    options: NeutralOptions,
+    progress: Progress,
+    template: Template,
+    corrections: Corrections | None = None,
 ) -> Neutral:
     """
-    The person's neutral head.
+    The person's neutral head; `corrections` holds contours that the user has drawn on photos.
 
     Raises InputError where too few photos show the face well enough to place the model.
     """
@@ -56,6 +66,7 @@ def run(
             f"{len(seen.photo)} placed photos show the face well (up to {options.max_yaw:g} degrees from the front): "
             f"{LEAST_PHOTOS} are needed; photograph the face from the front and from both sides of it"
         )
+    seen, unused = as_drawn(seen, placed, photos, corrections.photo if corrections is not None else {})
     schedule = stiffnesses(options)
     rounds = len(BY_LANDMARKS) + len(COARSE_CLOUD) + FIXED_STEPS + sum(line.rounds for line in schedule)
     with progress.task("Fitting the head", rounds) as task:
@@ -66,7 +77,10 @@ def run(
         triangles = template.triangles[template.parts["skin"].triangles]
         trust = listening(template)[:count]
         skin, found = shell.register(head[:count], triangles, target, trust, held, schedule, task.advance)
-    return assemble(template, capture, placed, trusted, model, target, skin, found.weight * trust)
+    made = assemble(template, capture, placed, trusted, model, target, skin, found.weight * trust)
+    if seen.drawn:
+        made = replace(made, figures=made.figures | {"contours_drawn": len(seen.drawn)})
+    return replace(made, warnings=made.warnings + unused)
 
 
 def fit_model(

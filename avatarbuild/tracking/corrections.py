@@ -8,11 +8,13 @@ back differs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
+from avatarbuild.formats.corrections import COUNT
 from avatarbuild.geometry.head_pose import head_pose
 from avatarbuild.landmarks import canonical_face
 from avatarbuild.tracking.dense import flow
@@ -22,49 +24,76 @@ FADES = 2.0  # s
 REACH = 4.0  # s from a corrected frame
 LEAST = 0.05  # confidence below which a point is let go
 _SIDE = 320  # pixels: the longer side of the face's window that the flow is computed in
+_KEPT = 2  # of the window's pixels that one kept sample of the flow stands for
 _ROOM = 0.25  # of the face's size about it
 _AGREE = 1.0  # pixels of that window: flow there and back
 _NEAR = 12.0  # mm on the face over which neighbouring points share a correction
 _LEAST_DOUBT = 1e-3  # of a point that was set in this very frame
 _FAR = 0.2  # beyond, they keep what the detector says
 
+Clicked = dict[int, dict[int, np.ndarray]]
+"""Decoded frame -> {one of the 68 points: (2,) pixels}."""
+Expected = Callable[[int], np.ndarray]
+"""Decoded frame -> (478, 3) pixels, about where the face is."""
+Decode = Callable[[list[int]], Iterator[tuple[int, float, np.ndarray]]]
+"""Frames, rising -> number, time and picture of those that can be decoded."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """
+    Flow between two decoded frames that follow each other, in a window about the face: corner (2,) pixels, scale the
+    window's pixels a pixel, size its width and height; there and back (h, w, 2) float16, the window's pixels, sampled
+    at every _KEPT-th of them.
+    """
+
+    first: int
+    then: int
+    corner: np.ndarray
+    scale: float
+    size: tuple[int, int]
+    there: np.ndarray
+    back: np.ndarray
+
+    def carry(self, pixels: np.ndarray, backward: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Points (q, 2) one frame farther, and by how much (q,) flow there and back lets them be trusted, 0 outside."""
+        ways = (self.back, self.there) if backward else (self.there, self.back)
+        at = (pixels - self.corner) * self.scale
+        landed = at + self._sampled(ways[0], at)
+        apart = np.linalg.norm(landed - at + self._sampled(ways[1], landed), axis=1)
+        inside = ((landed > 0.5) & (landed < np.array(self.size) - 0.5)).all(axis=1)
+        return landed / self.scale + self.corner, inside / (1 + (apart / _AGREE) ** 2)
+
+    def _sampled(self, field: np.ndarray, at: np.ndarray) -> np.ndarray:
+        shrunk = at * (np.array(field.shape[1::-1]) / self.size) - 0.5  # OpenCV counts from the first sample's centre
+        x, y = np.ascontiguousarray(shrunk.T, np.float32)
+        found = cv2.remap(
+            field.astype(np.float32), x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+        return found[:, 0].astype(np.float64)
+
 
 def propagated(
-    clicked: dict[int, dict[int, np.ndarray]],
-    landmarks68: np.ndarray,
-    times: np.ndarray,
-    expected: Callable[[int], np.ndarray],
-    decode: Callable[[list[int]], Iterator[tuple[int, float, np.ndarray]]],
+    clicked: Clicked, landmarks68: np.ndarray, times: np.ndarray, expected: Expected, decode: Decode
 ) -> dict[int, Clicks]:
     """
     What the user's points say of every frame within REACH of a corrected one.
 
-    clicked: frame -> {one of the 68 points: (2,) pixels}; landmarks68 (68,): the detector's points that they are;
-    times (f,) s of the clip's frames; expected(frame): (478, 3) pixels, about where the face is; decode(frames): their
-    pictures in order.
+    landmarks68 (68,): the detector's points that they are; times (f,) s of the clip's frames.
     """
-    corrected = np.array(sorted(frame for frame in clicked if frame < len(times)), int)
     out: dict[int, Clicks] = {}
-    for frames in _stretches(corrected, times):
-        marks = np.concatenate([expected(i)[:SKIN, :2] for i in (frames[0], *corrected, frames[-1]) if i in frames])
-        pictures = {i: _window(rgb, marks) for i, _, rgb in decode(frames)}
-        shown = [i for i in frames if i in pictures]
-        if not shown:
-            continue
-        low, scale = _place(marks)
-        carried = [_carried(order, clicked, pictures, times, low, scale) for order in (shown, shown[::-1])]
-        for i in shown:
-            both = _blended(carried[0].get(i, {}), carried[1].get(i, {}))
-            if both:
-                names = sorted(both)
-                pixels = np.array([both[k][0] for k in names])
-                confidence = np.array([both[k][1] for k in names])
-                out[i] = Clicks(landmarks68[names], pixels, confidence)
+    for frames in stretches(clicked, times):
+        own = {i: clicked[i] for i in frames if i in clicked}
+        for i, (pixels, sure) in spread(own, steps(frames, expected, decode), times).items():
+            known = np.flatnonzero(sure)
+            if len(known):
+                out[i] = Clicks(landmarks68[known], pixels[known], sure[known])
     return out
 
 
-def _stretches(corrected: np.ndarray, times: np.ndarray) -> list[list[int]]:
-    """Runs of frames within REACH of a corrected one, cut at the corrected frames' gaps."""
+def stretches(clicked: Iterable[int], times: np.ndarray) -> list[list[int]]:
+    """Runs of frames within REACH of a corrected one."""
+    corrected = np.array(sorted(frame for frame in clicked if frame < len(times)), int)
     if not len(corrected):
         return []
     near = np.abs(times[:, None] - times[corrected]).min(axis=1) <= REACH
@@ -72,81 +101,81 @@ def _stretches(corrected: np.ndarray, times: np.ndarray) -> list[list[int]]:
     return [run.tolist() for run in np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)]
 
 
-def _place(marks: np.ndarray) -> tuple[np.ndarray, float]:
-    """The window's corner in the frame, and its pixels a pixel of the frame."""
-    first, last = marks.min(axis=0), marks.max(axis=0)
-    room = _ROOM * float((last - first).max())
-    low = np.maximum(np.floor(first - room), 0)
-    return low, min(1.0, _SIDE / float((last + room - low).max()))
+def steps(frames: list[int], expected: Expected, decode: Decode) -> Iterator[Step]:
+    """The flow from each of these frames (rising) to the next that can be decoded, and back."""
+    first, before = -1, np.empty(0)
+    for then, _, rgb in decode(frames):
+        now = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY)
+        if first >= 0:
+            yield _step(first, then, before, now, np.concatenate([expected(i)[:SKIN, :2] for i in (first, then)]))
+        first, before = then, now
 
 
-def _window(rgb: np.ndarray, marks: np.ndarray) -> np.ndarray:
-    """(h, w) uint8 grey about the face."""
-    low, scale = _place(marks)
-    last = marks.max(axis=0) + _ROOM * float(np.ptp(marks, axis=0).max())
-    x0, y0 = low.astype(int)
-    x1, y1 = np.maximum(np.ceil(last).astype(int), [x0 + 32, y0 + 32])
-    grey = cv2.cvtColor(np.ascontiguousarray(rgb[y0:y1, x0:x1]), cv2.COLOR_RGB2GRAY)
-    size = (max(16, round(grey.shape[1] * scale)), max(16, round(grey.shape[0] * scale)))
-    return cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+def _step(first: int, then: int, before: np.ndarray, now: np.ndarray, marks: np.ndarray) -> Step:
+    """before, now (h, w) uint8 whole frames; marks (q, 2) pixels of the face in both."""
+    room = _ROOM * float(np.ptp(marks, axis=0).max())
+    limit = np.array(before.shape[::-1]) - 32
+    x0, y0 = np.clip(np.floor(marks.min(axis=0) - room), 0, np.maximum(limit, 0)).astype(int)
+    x1, y1 = np.maximum(np.ceil(marks.max(axis=0) + room).astype(int), [x0 + 32, y0 + 32])
+    cut = [picture[y0:y1, x0:x1] for picture in (before, now)]
+    scale = min(1.0, _SIDE / max(cut[0].shape))
+    w, h = (max(16, round(side * scale)) for side in cut[0].shape[::-1])
+    a, b = (cv2.resize(picture, (w, h), interpolation=cv2.INTER_AREA) for picture in cut)
+    small = (max(8, w // _KEPT), max(8, h // _KEPT))
+    there, back = (
+        cv2.resize(field, small, interpolation=cv2.INTER_AREA).astype(np.float16) for field in (flow(a, b), flow(b, a))
+    )
+    return Step(first, then, np.array([x0, y0], float), w / cut[0].shape[1], (w, h), there, back)
+
+
+def spread(clicked: Clicked, known: Iterable[Step], times: np.ndarray) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """
+    Of each frame that is corrected or that a chain of `known` steps reaches from a corrected one: pixels (68, 2) and
+    confidence (68,) of the points, 0 where nothing is known of one.
+    """
+    chain = sorted(known, key=lambda step: step.first)
+    ways = [_carried(clicked, chain, times, backward) for backward in (False, True)]
+    out = {}
+    for i in sorted(ways[0].keys() | ways[1].keys()):
+        sides = [way.get(i, _nothing()) for way in ways]
+        c = np.stack([side[1] for side in sides])
+        worth = c / (1 - c + _LEAST_DOUBT)
+        pixels = np.einsum("sk,ski->ki", worth, np.stack([side[0] for side in sides]))
+        sure = np.where(c.max(axis=0) > LEAST, 1 - (1 - c).prod(axis=0), 0.0)
+        if sure.any():
+            out[i] = pixels / np.maximum(worth.sum(axis=0), 1e-12)[:, None], sure
+    return out
 
 
 def _carried(
-    order: list[int],
-    clicked: dict[int, dict[int, np.ndarray]],
-    pictures: dict[int, np.ndarray],
-    times: np.ndarray,
-    low: np.ndarray,
-    scale: float,
-) -> dict[int, dict[int, tuple[np.ndarray, float]]]:
-    """Frame by frame in `order`: of each point its pixels and confidence."""
-    out: dict[int, dict[int, tuple[np.ndarray, float]]] = {}
-    held: dict[int, tuple[np.ndarray, float]] = {}
-    before = order[0]
-    for i in order:
-        if held:
-            held = _stepped(held, pictures[before], pictures[i], low, scale)
-            fade = float(np.exp(-abs(times[i] - times[before]) / FADES))
-            held = {k: (at, c * fade) for k, (at, c) in held.items() if c * fade > LEAST}
-        held |= {k: (at, 1.0) for k, at in clicked.get(i, {}).items()}
-        out[i], before = dict(held), i
+    clicked: Clicked, chain: list[Step], times: np.ndarray, backward: bool
+) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """Step by step, one way: of each frame pixels and confidence of the points."""
+    out = {i: _with(_nothing(), points) for i, points in clicked.items()}
+    here = -1
+    for step in reversed(chain) if backward else chain:
+        a, b = (step.then, step.first) if backward else (step.first, step.then)
+        pixels, sure = out.get(a, _nothing()) if a == here or a in clicked else _nothing()
+        here = b
+        held = np.flatnonzero(sure)
+        pixels, left = pixels.copy(), np.zeros(COUNT)
+        if len(held):
+            pixels[held], trust = step.carry(pixels[held], backward)
+            left[held] = sure[held] * trust * np.exp(-abs(times[b] - times[a]) / FADES)
+        left[left <= LEAST] = 0.0
+        out[b] = _with((pixels, left), clicked.get(b, {}))
     return out
 
 
-def _stepped(
-    held: dict[int, tuple[np.ndarray, float]], a: np.ndarray, b: np.ndarray, low: np.ndarray, scale: float
-) -> dict[int, tuple[np.ndarray, float]]:
-    """The points one picture farther; those that flow there and back does not agree on lose confidence."""
-    there, back = flow(a, b), flow(b, a)
-    at = np.array([(x - low) * scale - 0.5 for x, _ in held.values()], np.float32)
-    step = _sampled(there, at)
-    apart = np.linalg.norm(step + _sampled(back, at + step), axis=1)
-    trust = 1 / (1 + (apart / _AGREE) ** 2)
-    moved = (at + step + 0.5) / scale + low
-    h, w = a.shape
-    inside = ((at + step > 0) & (at + step < (w - 1, h - 1))).all(axis=1)
-    return {
-        k: (moved[n].astype(np.float64), c * float(trust[n] * inside[n])) for n, (k, (_, c)) in enumerate(held.items())
-    }
+def _nothing() -> tuple[np.ndarray, np.ndarray]:
+    return np.zeros((COUNT, 2)), np.zeros(COUNT)
 
 
-def _sampled(field: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """(q, 2) of a flow field (h, w, 2) at (q, 2) OpenCV pixels."""
-    x, y = np.ascontiguousarray(at.T)
-    return cv2.remap(field, x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[:, 0]
-
-
-def _blended(
-    one: dict[int, tuple[np.ndarray, float]], other: dict[int, tuple[np.ndarray, float]]
-) -> dict[int, tuple[np.ndarray, float]]:
-    out = {}
-    for k in one.keys() | other.keys():
-        known = [side[k] for side in (one, other) if k in side]
-        c = np.array([c for _, c in known])
-        worth = c / (1 - c + _LEAST_DOUBT)
-        if c.max() > LEAST:
-            out[k] = (worth / worth.sum() @ np.array([x for x, _ in known]), 1 - float(np.prod(1 - c)))
-    return out
+def _with(held: tuple[np.ndarray, np.ndarray], points: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """The points `held`, those that the user has set in this frame in their place."""
+    for k, at in points.items():
+        held[0][k], held[1][k] = at, 1.0
+    return held
 
 
 def shifted(marks: np.ndarray, clicks: Clicks, m: Markers) -> np.ndarray:
