@@ -246,6 +246,72 @@ def _warned() -> Iterator[None]:
 
 
 @app.command()
+def batch(
+    captures: Annotated[Path, typer.Argument(metavar="CAPTURES_DIR", help="Folder whose sub-folders are captures.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT", help="Folder for projects and summary.")],
+    workers: Annotated[
+        int | None, typer.Option(help="Runs at once; default: as many as memory allows, at most one a core.")
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Run on the Dask cluster of this scheduler, tcp://HOST:PORT.")
+    ] = None,
+    threads: Annotated[int | None, typer.Option(help="Threads a run; default: the cores divided by the runs.")] = None,
+    memory: Annotated[
+        float | None, typer.Option(help="GB a run may take; default: free memory divided by the runs.")
+    ] = None,
+    time_limit: Annotated[float | None, typer.Option(help="Minutes after which a run is stopped.")] = None,
+    until: Annotated[str | None, typer.Option(help="Stop after this stage.")] = None,
+    pairs: Annotated[list[str] | None, typer.Option("--set", help="stage.option=value, for all.")] = None,
+    quality: Annotated[str | None, typer.Option(help="draft, standard or high, for all.")] = None,
+    template: TemplateName = None,
+    as_json: Json = False,
+) -> None:
+    """Build the avatars of many captures; go on where an earlier batch left off."""
+    from avatarbuild.batch.run import Means, run_batch
+
+    pipeline.plan(None, until, None, False)  # what is wrong for all is said once
+    settings = {key: value for key, value in _settings(pairs or []).items() if value != "default"}
+    all_options.stage_options(quality or "standard", settings)
+    if scheduler is not None and workers is not None:
+        raise InputError("--workers was given with --scheduler: the cluster has its own workers, give one of the two")
+    if any(value is not None and value <= 0 for value in (memory, time_limit)):
+        raise InputError("--memory and --time-limit must be above 0")
+    words = [word for pair in pairs or [] for word in ("--set", pair)]
+    words += ["--until", until] if until else []
+    words += ["--quality", quality] if quality else []
+    words += ["--template", template if template == SHIPPED else str(resolve(template).path)] if template else []
+    means = Means(
+        *(workers, threads, None if memory is None else int(memory * 1e9)),
+        *(None if time_limit is None else 60 * time_limit, scheduler),
+    )
+    made = run_batch(captures, output, words, until, means, screen)
+    if as_json:
+        typer.echo(json.dumps(_batch_json(output, made), indent=1, ensure_ascii=False))
+    failed = [row for row in made if row.state == "failed"]
+    screen.print(f"{output}: {len(made) - len(failed)} of {len(made)} done; begin with index.html", soft_wrap=True)
+    if failed:
+        faults = [row for row in failed if row.reason == "fault"]
+        raise typer.Exit(FAULT if faults else BAD_INPUT)
+
+
+def _batch_json(output: Path, made: list[Any]) -> dict[str, Any]:
+    subjects = [
+        {
+            "subject": row.subject,
+            "state": row.state,
+            "reason": row.reason,
+            "message": row.message,
+            "stage": row.stage,
+            "figures": row.figures,
+            "warnings": [f"{stage}: {text}" for stage, text in row.warnings],
+            "timing": {"seconds": row.seconds},
+        }
+        for row in made
+    ]
+    return {"version": JSON_VERSION, "output": str(output), "subjects": subjects}
+
+
+@app.command()
 def track(
     project_folder: ProjectPath,
     video: Annotated[Path, typer.Argument(metavar="VIDEO", help="New footage of the same person.")],

@@ -14,9 +14,14 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
+THREADS = "AVATARBUILD_THREADS"  # variable: how many processors to use where others work on the machine too
+
+
 def cores() -> int:
     """Processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    told = os.environ.get(THREADS, "")
+    return min(there, int(told)) if told.isdecimal() and int(told) else there
 
 
 def in_order(function: Callable[[T], R], items: Iterable[T], ahead: int = 4) -> Iterator[R]:

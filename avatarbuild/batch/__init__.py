@@ -1,0 +1,1 @@
+"""Many captures, on one machine or a cluster: `avatarbuild batch`."""
