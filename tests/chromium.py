@@ -14,7 +14,7 @@ import pytest
 
 VARIABLE = "AVATARBUILD_CHROMIUM"
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome-headless-shell")
-_OPTIONS = (
+OPTIONS = (
     *("--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
     *("--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-sync"),
     *("--disable-component-update", "--disable-dev-shm-usage", "--hide-scrollbars", "--disable-extensions"),
@@ -27,7 +27,7 @@ def answer(files: dict[str, bytes], seconds: float = 150) -> bytes:
     What index.html of `files` posts to /answer; AssertionError with its text if it posts to /fault instead. Skips the
     test without a browser; on CI that is a failure.
     """
-    browser = _browser()
+    browser = program()
     given: list[tuple[str, bytes]] = []
     done = threading.Event()
 
@@ -55,7 +55,7 @@ def answer(files: dict[str, bytes], seconds: float = 150) -> bytes:
     threading.Thread(target=server.serve_forever, daemon=True).start()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         address = f"http://127.0.0.1:{server.server_port}/"
-        command = [browser, *_OPTIONS, f"--user-data-dir={folder}", "--remote-debugging-port=0", address]
+        command = [browser, *OPTIONS, f"--user-data-dir={folder}", "--remote-debugging-port=0", address]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
             assert done.wait(seconds), f"{browser} gave no answer within {seconds} s"
@@ -68,7 +68,8 @@ def answer(files: dict[str, bytes], seconds: float = 150) -> bytes:
     return data
 
 
-def _browser() -> str:
+def program() -> str:
+    """The browser to start. Skips the test without one; on CI that is a failure."""
     named = os.environ.get(VARIABLE)
     for name in [named] if named else _NAMES:
         found = shutil.which(name)
