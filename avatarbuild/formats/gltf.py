@@ -90,12 +90,7 @@ class Writer:
         tree = dict(self.tree)
         if self._chunk:
             tree["buffers"] = [{"byteLength": len(self._chunk)}]
-        text = json.dumps(tree, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
-        chunks = [(_JSON, text + b" " * (-len(text) % 4))]
-        if self._chunk:
-            chunks.append((_BIN, bytes(self._chunk) + bytes(-len(self._chunk) % 4)))
-        body = b"".join(struct.pack("<II", len(data), kind) + data for kind, data in chunks)
-        return struct.pack("<III", _MAGIC, _VERSION, 12 + len(body)) + body
+        return _file(tree, bytes(self._chunk))
 
     def _dense(self, values: np.ndarray, use: str, target: int | None, bounds: bool) -> int:
         view = self._view(values, use, target)
@@ -174,6 +169,33 @@ def read_glb(data: bytes) -> Gltf:
     if any("uri" in buffer for buffer in tree.get("buffers", [])):
         raise ValueError("a glTF file whose buffers lie in other files")
     return Gltf(tree, chunks.get(_BIN, b""))
+
+
+def with_picture(glb: Gltf, name: str | None, picture: bytes) -> bytes:
+    """The file's bytes again, the picture `name` replaced by another PNG or JPEG; None: as it was."""
+    tree = json.loads(json.dumps(glb.tree))
+    own = -1
+    if name is not None:
+        image = next(image for image in tree["images"] if image["name"] == name)
+        image["mimeType"] = next(kind for magic, kind in _PICTURES.items() if picture.startswith(magic))
+        own = image["bufferView"]
+    chunk = bytearray()
+    for i, view in enumerate(tree["bufferViews"]):
+        raw = picture if i == own else glb.view(i)
+        chunk += bytes(-len(chunk) % 4)
+        view["byteOffset"], view["byteLength"] = len(chunk), len(raw)
+        chunk += raw
+    tree["buffers"] = [{"byteLength": len(chunk)}]
+    return _file(tree, bytes(chunk))
+
+
+def _file(tree: dict[str, Any], chunk: bytes) -> bytes:
+    text = json.dumps(tree, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
+    chunks = [(_JSON, text + b" " * (-len(text) % 4))]
+    if chunk:
+        chunks.append((_BIN, chunk + bytes(-len(chunk) % 4)))
+    body = b"".join(struct.pack("<II", len(data), kind) + data for kind, data in chunks)
+    return struct.pack("<III", _MAGIC, _VERSION, 12 + len(body)) + body
 
 
 def _short(numbers: np.ndarray) -> np.ndarray:
