@@ -65,9 +65,9 @@ class Page:
         """The first true value of an expression that is asked for again and again."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            found = self.evaluate(expression)
-            if found:
-                return found
+            with contextlib.suppress(AssertionError):  # between two documents there is nothing to ask
+                if found := self.evaluate(expression):
+                    return found
             time.sleep(0.05)
         raise AssertionError(f"not true within {seconds} s: {expression}; the console: {self.faults}")
 
