@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -49,6 +48,8 @@ CONTOURS = (
     *("lipsOuterUpper", "lipsOuterLower", "lipsInnerUpper", "lipsInnerLower"),
 )
 _CENTRE = 0.5
+_DIGITS = 9
+_FARTHEST = 1e6  # pixels
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ def read_corrections(data: bytes, name: str) -> Corrections:
     """The file's content; `name` is told in faults. Raises InputError for what is not this format."""
     try:
         found = json.loads(data)
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{name} is not valid JSON ({error}): mend or delete it") from None
     if not isinstance(found, dict) or found.get("version") != VERSION:
         raise InputError(f'{name} must be an object with "version": {VERSION}: mend or delete it')
@@ -85,7 +86,7 @@ def read_corrections(data: bytes, name: str) -> Corrections:
             raise InputError(f"{name}: '{section}' must hold an object of points for each picture")
     video: dict[int, dict[int, np.ndarray]] = {}
     for key, points in sections[0].items():
-        if not key.isdecimal():
+        if not key.isdecimal() or len(key) > _DIGITS:
             raise InputError(f"{name}: video frame '{key}' is not the number of a decoded frame, 0 or more")
         where = f"{name}, video frame {key}"
         for point, at in points.items():
@@ -127,7 +128,7 @@ def _list(at: np.ndarray) -> Any:
 def _index(point: str, where: str) -> int:
     if point in POINT_NAMES:
         return POINT_NAMES[point]
-    if point.isdecimal() and int(point) < COUNT:
+    if point.isdecimal() and len(point) <= _DIGITS and int(point) < COUNT:
         return int(point)
     raise InputError(f"{where}: no point '{point}': name one of the 68 by its number, 0 to 67, or like 'noseTip'")
 
@@ -144,7 +145,7 @@ def _pixels(at: Any, where: str, least: int = 0) -> np.ndarray:
     sound = isinstance(rows, list) and all(
         isinstance(row, list)
         and len(row) == 2
-        and all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in row)
+        and all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < _FARTHEST for v in row)
         for row in rows
     )
     if not sound or len(rows) < least:
