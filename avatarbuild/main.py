@@ -21,6 +21,7 @@ import typer
 from avatarbuild import __version__, pipeline
 from avatarbuild import options as all_options
 from avatarbuild.errors import InputError
+from avatarbuild.formats.corrections import Corrections
 from avatarbuild.progress import Task
 from avatarbuild.project import Project, default_project, digest_files
 from avatarbuild.template_files import SHIPPED, resolve
@@ -343,6 +344,26 @@ def track(
         screen.print(f"[yellow]warning[/] {rich.markup.escape(warning)}")
     frames, good = made.figures["frames"], made.figures["good"]
     screen.print(f"{output}: {frames} frames, {good} of them tracked well", soft_wrap=True)
+
+
+@app.command()
+def annotate(
+    project_folder: ProjectPath,
+    port: Annotated[int, typer.Option(help="Of the page's address; 0: any free one.")] = 0,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
+) -> None:
+    """Put contours on the frontal photo and points in the video right by hand, on a page in the browser."""
+    from avatarbuild.viewer import annotate as page
+
+    project = _existing(project_folder)
+    template, stamp = project.template().digest, project.stamp("capture") or {}
+
+    def stale(told: Corrections) -> list[str]:
+        made_of = pipeline.keys("", template, _chosen(project), told, stamp.get("key", ""))
+        return [line.name for line in pipeline.states(project, made_of) if line.state != "fresh"]
+
+    tell = lambda address: screen.print(f"{address}: the page of corrections; Ctrl-C ends it", soft_wrap=True)  # noqa: E731
+    page.annotate(project, stale, port, browser, tell)
 
 
 @app.command()
