@@ -446,6 +446,28 @@ def animate(
     screen.print(f"{output}: {frames} frames")
 
 
+@app.command()
+def view(
+    project_folder: ProjectPath,
+    folder: Annotated[
+        Path | None, typer.Option("--export", metavar="FOLDER", help="Write the page there, for any web server.")
+    ] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any free one.")] = 0,
+    live: Annotated[int, typer.Option(min=0, max=65535, help="UDP port of live input, VMC and OSC; 0: none.")] = 39539,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = True,
+) -> None:
+    """Look at the avatar in a browser: sliders, light, the tracked performance, live input. Ctrl-C ends it."""
+    from avatarbuild.viewer import view as page
+
+    project = _existing(project_folder)
+    tell = lambda text: screen.print(text, soft_wrap=True)  # noqa: E731
+    if folder is not None:
+        size = page.export(project, folder, tell)
+        tell(f"{folder}: {size / 1e6:.1f} MB; any web server can serve it")
+        return
+    page.view(project, port, live, browser, lambda address: tell(f"{address}  Ctrl-C ends it"))
+
+
 @app.command("transfer-details")
 def transfer_details(
     source: Annotated[Path, typer.Argument(metavar="FROM", help="Project whose details are taken.")],

@@ -8,9 +8,11 @@ import logging
 import os
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from avatarbuild.errors import InputError
 from avatarbuild.formats.clip import encode_clip
@@ -37,7 +39,7 @@ def source(project: Project) -> Path | None:
 
 
 def for_page(video: Path) -> Path:
-    """A file that browsers play: the video itself where it is small and H.264, else a smaller clip of the same times."""
+    """A file that browsers play: the video where it is small and H.264, else a smaller clip of the same times."""
     about = open_video(video)
     plain = about.codec == "h264" and about.bits == 8 and not about.hdr and not about.rotation and not about.mirrored
     if plain and video.suffix.lower() in (".mp4", ".m4v") and video.stat().st_size <= _AS_IT_IS:
@@ -51,14 +53,17 @@ def for_page(video: Path) -> Path:
     scale = min(_LONGER / max(about.size), 1.0)
     w, h = (max(2, 2 * round(side * scale / 2)) for side in about.size)
     times = frame_times(video)
-    held, kept = [], []
-    for _, time, rgb in decode_frames(video):
-        held.append(cv2.resize(rgb, (w, h), interpolation=cv2.INTER_AREA))
-        kept.append(time)
+    kept: list[float] = []
+
+    def small() -> Iterator[np.ndarray]:
+        for _, time, rgb in decode_frames(video):
+            kept.append(time)  # the encoder asks for a frame's time after the frame
+            yield cv2.resize(rgb, (w, h), interpolation=cv2.INTER_AREA)
+
     partial = place.with_name(f".{place.stem}.{os.getpid()}.mp4")
     fps = len(times) / max(about.duration, 1e-6)
     try:
-        encode_clip(partial, held, fps, quality=_QUALITY, times=kept)
+        encode_clip(partial, small(), fps, quality=_QUALITY, times=kept)
         partial.replace(place)
     finally:
         partial.unlink(missing_ok=True)

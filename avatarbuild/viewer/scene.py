@@ -35,6 +35,7 @@ SCENE_VERSION = 1
 PAGE = (
     *("index.html", "viewer.css", "main.js", "avatar.js", "details.js", "environment.js", "light.js", "live.js"),
     *("panel.js", "record.js", "shapes.js", "surface.js", "timeline.js", "surface.vert.glsl", "surface.frag.glsl"),
+    "LICENSE-three.js.txt",
 )
 _SYNTHESIS = Path(__file__).parents[1] / "details" / "synthesis.glsl"
 _SIDE, _QUALITY = 2048, 90  # texels and JPEG quality of the albedo that the page starts with
@@ -106,6 +107,7 @@ def lighter(glb: Gltf) -> bytes:
         return with_picture(glb, None, b"")
     reduced = {2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4}.get(halves, cv2.IMREAD_REDUCED_COLOR_8)
     smaller = cv2.imdecode(np.frombuffer(data, np.uint8), reduced)
+    assert smaller is not None
     done, jpeg = cv2.imencode(".jpg", smaller, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
     assert done
     return with_picture(glb, "albedo", jpeg.tobytes())

@@ -204,17 +204,23 @@ def _bound(port: int) -> socket.socket:
     return bound
 
 
-def _answer(address: str, content: Content) -> Callable[[Request], Any]:
-    made: list[Path | bytes] = [] if callable(content) else [content]
+def once(make: Callable[[], Path | bytes]) -> Callable[[], Path | bytes]:
+    """`make`, called at most once whoever asks; a fault is not kept."""
+    made: list[Path | bytes] = []
     lock = threading.Lock()
-    kind = media_type(address)
 
     def ready() -> Path | bytes:
         with lock:
             if not made:
-                assert callable(content)
-                made.append(content())
+                made.append(make())
         return made[0]
+
+    return ready
+
+
+def _answer(address: str, content: Content) -> Callable[[Request], Any]:
+    kind = media_type(address)
+    ready = once(content) if callable(content) else lambda: content
 
     async def answer(request: Request) -> Response:
         try:
