@@ -18,15 +18,16 @@ log = logging.getLogger(__name__)
 
 PATIENCE = 600.0  # seconds that a scheduler may be gone
 _CONNECT = 10.0
+_ELSEWHERE = 30.0  # seconds that a failed run waits for another worker to appear
 
 
 def on_cluster(jobs: list[Job], address: str) -> Iterator[Outcome | None]:
     """
     Yields each job's outcome as it ends, and None about once a second between.
 
-    Dask gives the task of a worker that dies to another one. A run that fails is tried once more elsewhere, since from
-    afar nobody can tell a bad capture from a machine whose disk is full or whose folder is not mounted; not one that
-    ran out of time. When the scheduler has gone and come back, what is not done is handed in again.
+    Dask gives the task of a worker that dies to another one. A run that fails is tried once more on another worker,
+    since from afar nobody can tell a bad capture from a machine whose disk is full or whose folder is not mounted; not
+    one that ran out of time. When the scheduler has gone and come back, what is not done is handed in again.
 
     Raises InputError where `distributed` is not installed, and where no scheduler answers.
     """
@@ -36,7 +37,7 @@ def on_cluster(jobs: list[Job], address: str) -> Iterator[Outcome | None]:
         raise InputError("--scheduler needs the package `distributed`: pip install 'avatarbuild[cluster]'") from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it is said here
     left = {job.subject: job for job in jobs}
-    refused: dict[str, str] = {}
+    refused: dict[str, set[str]] = {}
     gone: float | None = None
     known = False
     try:
@@ -77,40 +78,64 @@ def build_on_worker(job: Job) -> Outcome:
         threads=job.threads or max(1, cores() // places),
         memory=job.memory or (limit // places if limit else None),
     )
-    return dataclasses.replace(build(given), worker=str(worker.address))
+    return dataclasses.replace(build(given), worker=str(worker.name))
 
 
-def _gathered(client: Any, left: dict[str, Job], refused: dict[str, str]) -> Iterator[Outcome | None]:
-    """Hands in what is left, takes jobs out of `left` as they end; raises ConnectionError where the scheduler goes."""
+def _gathered(client: Any, left: dict[str, Job], refused: dict[str, set[str]]) -> Iterator[Outcome | None]:
+    """
+    Hands in what is left and takes jobs out of `left` as they end. refused: the workers, by name, on which a subject
+    failed. Raises ConnectionError where the scheduler goes.
+    """
+    futures: dict[Any, tuple[Job, set[str]]] = {}
+    held: list[tuple[float, Job, Outcome | None]] = []
 
-    def hand_in(job: Job, elsewhere: list[str] | None = None) -> None:
-        wish = {"workers": elsewhere, "allow_other_workers": True} if elsewhere else {}
-        futures[client.submit(build_on_worker, job, pure=False, **wish)] = job
+    def hand_in(job: Job, addresses: set[str]) -> None:
+        only = {"workers": sorted(addresses)} if addresses else {}
+        futures[client.submit(build_on_worker, job, pure=False, **only)] = (job, addresses)
 
-    futures: dict[Any, Job] = {}
     for job in left.values():
-        hand_in(job)
-    idle: float | None = time.monotonic()
-    while futures:
+        if job.subject in refused:
+            held.append((time.monotonic(), job, None))
+        else:
+            hand_in(job, set())
+    lonely: float | None = time.monotonic()
+    while futures or held:
         if client.status != "running":
             raise ConnectionError(client.status)
+        workers = _workers(client)
         for future in [future for future in futures if future.status != "pending"]:
-            job = futures.pop(future)
+            job, _ = futures.pop(future)
             if future.status in ("cancelled", "lost"):
                 raise ConnectionError(future.status)
             outcome = _outcome(future, job)
-            others = [name for name in _workers(client) if name != outcome.worker]
-            if outcome.reason not in ("", "time") and others and job.subject not in refused:
-                log.warning("%s failed on %s: %s; it is tried elsewhere", job.subject, outcome.worker, outcome.message)
-                refused[job.subject] = outcome.worker
-                hand_in(job, others)
-                continue
+            if outcome.reason not in ("", "time"):
+                refused.setdefault(job.subject, set()).add(outcome.worker)
+                if len(refused[job.subject]) < 2:
+                    held.append((time.monotonic(), job, outcome))
+                    continue
             del left[job.subject]
             yield outcome
-        if idle is not None and time.monotonic() - idle > 30:
-            if not _workers(client):
+        for future, (job, addresses) in list(futures.items()):
+            if addresses and not addresses & workers.keys():  # all that it was meant for are gone
+                del futures[future]
+                future.cancel()
+                held.append((time.monotonic(), job, None))
+        for since, job, last in held.copy():
+            others = {address for address, name in workers.items() if name not in refused[job.subject]}
+            if not others and time.monotonic() - since < _ELSEWHERE:
+                continue
+            held.remove((since, job, last))
+            if others or last is None:
+                if last is not None:
+                    log.warning("%s: %s; it is tried on another worker", job.subject, last.message)
+                hand_in(job, others)
+            else:
+                del left[job.subject]
+                yield last
+        if lonely is not None and time.monotonic() - lonely > _ELSEWHERE:
+            if not workers:
                 log.warning("the scheduler has no workers: start some with `dask worker %s`", client.scheduler.address)
-            idle = None
+            lonely = None
         yield None
         time.sleep(0.5)
 
@@ -124,8 +149,9 @@ def _outcome(future: Any, job: Job) -> Outcome:
     return future.result(timeout=_CONNECT)
 
 
-def _workers(client: Any) -> list[str]:
-    return list(client.scheduler_info(n_workers=-1)["workers"])
+def _workers(client: Any) -> dict[str, str]:
+    """Address -> name; a worker that is started again has another address."""
+    return {address: str(about["name"]) for address, about in client.scheduler_info(n_workers=-1)["workers"].items()}
 
 
 def _line(error: BaseException) -> str:

@@ -20,6 +20,7 @@ from avatarbuild.batch.jobs import Job, Outcome
 from avatarbuild.errors import InputError
 from avatarbuild.parallel import THREADS, cores
 
+COMMAND = (sys.executable, "-m", "avatarbuild.batch.process", "run")
 _LOOK = 0.25  # seconds between two looks at a run
 _WAIT = 2.0  # between two attempts at a subject that another process has
 _THREADS_OF_LIBRARIES = (
@@ -55,7 +56,7 @@ def _run(job: Job, held: Claim, stop: threading.Event) -> Outcome:
     # the program may run from a checkout, without being installed
     paths = [str(Path(avatarbuild.__file__).parent.parent), os.environ.get("PYTHONPATH", "")]
     environment["PYTHONPATH"] = os.pathsep.join(path for path in paths if path)
-    command = [sys.executable, "-m", "avatarbuild.batch.process", "run", str(job.capture), "-o", str(job.project)]
+    command = [*COMMAND, str(job.capture), "-o", str(job.project)]
     begun, peak = time.monotonic(), 0
     with tempfile.TemporaryFile() as said:
         run = subprocess.Popen(
