@@ -116,7 +116,7 @@ def lighter(glb: Gltf) -> bytes:
 def traits(template: Template, glb: Gltf) -> np.ndarray:
     """
     (v, 4) uint8 for every vertex of mesh `head`: lips, inside of the mouth, scalp (0 or 255, softened over two rings),
-    and the distance to the rim of the neck, 255 from 35 mm on. Nil where the template does not fit the file.
+    and the distance to the rim of the neck, 255 from 35 mm on. Plain skin where the template does not fit the file.
     """
     primitive = glb.named("meshes", "head")["primitives"][0]
     positions = glb.accessor(primitive["attributes"]["POSITION"]) / avatar_glb.METRES
@@ -127,7 +127,7 @@ def traits(template: Template, glb: Gltf) -> np.ndarray:
     )
     if len(split.sources) != len(positions):
         log.warning("avatar.glb was made with another head template: lips and scalp look like the rest of the skin")
-        return np.zeros((len(positions), 4), np.uint8)
+        return np.tile(np.array([0, 0, 0, 255], np.uint8), (len(positions), 1))
     regions = {name: mask[:n] for name, mask in template.regions.items()}
     masks = np.stack(
         [regions["lips"], regions["mouth"] & ~regions["face"] & ~regions["lips"], regions["scalp"]], axis=1

@@ -367,7 +367,7 @@ async function main() {
   const recorder = new Recorder(canvas);
   const named = (suffix) => `${about.title.replace(/[^\w.-]+/g, "_")}.${suffix}`;
   async function takePicture() {
-    save(await picture(canvas, draw), named("png"));
+    save(await picture(canvas, () => draw()), named("png"));
   }
   async function recordClip() {
     if (recorder.active) { recorder.stop(); return; }
@@ -440,9 +440,8 @@ async function main() {
   });
 
   // ---- drawing
-  const seconds = []; // of the last pictures, for measurements
-  function draw() {
-    renderer.shadowMap.needsUpdate = shadowStale && surface.key.castShadow;
+  function draw(whole = false) {
+    renderer.shadowMap.needsUpdate = (whole || shadowStale) && surface.key.castShadow;
     shadowStale = false;
     renderer.info.reset();
     renderer.render(scene, camera);
@@ -464,7 +463,7 @@ async function main() {
 
   frame();
   avatar.place(null);
-  useEnvironment(about.light ? "studio" : "studio");
+  useEnvironment("studio");
   draw();
   context.finish?.();
   $("cover").classList.add("gone");
@@ -489,10 +488,9 @@ async function main() {
   }
 
   window.viewer = {
-    THREE, avatar, camera, controls, renderer, scene, surface, timeline, toggles, details, seconds,
+    THREE, avatar, camera, controls, renderer, scene, surface, timeline, toggles, details, light: pad,
     setWeights: (named) => { quiet(); setWeights(Array.isArray(named) ? Float32Array.from(named) : weightsOf(named)); },
-    useRig, useEnvironment, setSide, setMotion, importTable, frame, draw, recordClip, relight, readTable,
-    toggleLive,
+    useRig, useEnvironment, setSide, setMotion, importTable, frame, draw, takePicture, recordClip, readTable, toggleLive,
     // mean milliseconds a picture, drawn to the end, over `count` expressions
     measure(count = 10) {
       const pixel = new Uint8Array(4), times = [];

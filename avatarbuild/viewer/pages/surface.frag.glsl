@@ -139,6 +139,7 @@ void main() {
     rough = mix(rough, 0.36, kind.x * 0.9);
     rough = mix(rough, 0.3, inside);
     rough = mix(rough, 0.75, kind.z);
+    colour *= mix(0.5, 1.0, smoothstep(0.0, 0.8, kind.w));  // the bust ends softly
     #endif
     #ifdef MOUTH
     open = in_the_mouth();
@@ -149,7 +150,8 @@ void main() {
     vec3 from_centre = head_axes * normalize(seenAt - eye_centre);
     // lids and sockets stand before the ball: less light at its corners and under the upper lid
     float side = from_centre.x, up = from_centre.y;
-    open = show_occlusion ? mix(0.32, 1.0, smoothstep(0.95, 0.45, length(vec2(side * 1.0, up * 1.55 + 0.16)))) : 1.0;
+    open = show_occlusion ? mix(0.22, 0.92, smoothstep(1.0, 0.3, length(vec2(side, up * 1.6 - 0.22)))) : 1.0;
+    colour *= vec3(0.86, 0.84, 0.82);  // the ball's white is not paper
     #endif
 
     if (show_normals) {
@@ -157,7 +159,7 @@ void main() {
         return;
     }
 
-    float nv = clamp(dot(specular_normal, v), 0.02, 1.0);
+    float nv = clamp(dot(specular_normal, v), 0.14, 1.0);  // hair too fine to see ends the mirror at grazing angles
     vec3 r = reflect(-v, specular_normal);
     float shadow = lit_by_key();
     vec3 darkened = hollow(open, clamp(colour, 0.0, 0.9));
@@ -183,9 +185,10 @@ void main() {
     vec2 broad_sum = split_sum(rough, nv), sharp_sum = split_sum(sharp, nv);
     specular = mix(mirrored(r, rough, nv) * (f0 * broad_sum.x + broad_sum.y),
                    mirrored(r, sharp, nv) * (f0 * sharp_sum.x + sharp_sum.y), part);
-    specular *= mirrored_open(open, nv, rough);
+    // what is mirrored from below is the body, which is not lit like the sky
+    specular *= mirrored_open(open, nv, rough) * smoothstep(-0.75, 0.15, r.y) * smoothstep(-0.9, 0.1, n.y);
     specular += key_light * PI * shadow * open * mix(ggx(n, v, key_direction, rough, f0), ggx(n, v, key_direction, sharp, f0), part);
-    specular *= strength;
+    specular *= show_albedo ? strength : 0.4;
     #else
     diffuse = light_from(n) * darkened;
     float towards = max((dot(n, key_direction) + 0.2) / 1.2, 0.0) / 1.1;

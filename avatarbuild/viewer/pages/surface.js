@@ -18,7 +18,7 @@ export class Surface {
       turned: { value: new THREE.Matrix3() },
       key_direction: { value: new THREE.Vector3(0, 0, 1) },
       key_light: { value: new THREE.Vector3() },
-      clay: { value: new THREE.Vector3(0.42, 0.42, 0.42) },
+      clay: { value: new THREE.Vector3(0.36, 0.36, 0.365) },
       mouth: { value: new THREE.Vector3(0, -1, 0.001) },
       head_axes: { value: new THREE.Matrix3() },
       show_albedo: { value: true },
@@ -113,7 +113,11 @@ export class Surface {
 function prepare(geometry) {
   if (!geometry.attributes.tangent) geometry.computeTangents();
   if (!geometry.attributes.traits)
-    geometry.setAttribute("traits", new THREE.BufferAttribute(new Uint8Array(4 * geometry.attributes.position.count), 4, true));
+    {
+    const none = new Uint8Array(4 * geometry.attributes.position.count);
+    for (let i = 3; i < none.length; i += 4) none[i] = 255; // far from the rim
+    geometry.setAttribute("traits", new THREE.BufferAttribute(none, 4, true));
+  }
 }
 
 function plain(r, g, b) {
