@@ -34,7 +34,7 @@ from avatarbuild.viewer.view import export
 from tests import devtools
 
 READY = "document.documentElement.dataset.state"
-SIZE = 360, 420
+SIZE = 300, 350
 VIEW = View(size=SIZE, height=260.0, centre=(0.0, -20.0, -20.0), distance=800.0)
 EXPRESSIONS: tuple[dict[str, float], ...] = (
     {},
@@ -58,6 +58,7 @@ def page(project: Project) -> Iterator[devtools.Page]:
         opened.open(address)
         opened.wait(READY, 120)
         opened.wait("window.viewer && document.documentElement.dataset.performance === 'ready'", 60)
+        opened.press("h")
         yield opened
 
 
@@ -156,7 +157,7 @@ def test_light_comes_from_where_it_is_put(page):
     for x in (-1, 1):
         page.evaluate(f"document.getElementById('key').value = 2; viewer.light.set([{x}, 0, 0.3])")
         middle = _drawn(page)[:, :, 1].astype(float)
-        shown.append(middle[100:250, 100:165].mean() - middle[100:250, 195:260].mean())
+        shown.append(middle[90:200, 85:135].mean() - middle[90:200, 165:215].mean())
     page.evaluate("viewer.toggles.set('albedo', true); viewer.useEnvironment('studio')")
     assert shown[0] > 20  # lit from the left of the picture
     assert shown[1] < -20
@@ -239,12 +240,14 @@ def test_layout_needs_no_scrolling(page, size):
     try:
         found = page.evaluate("""(() => {
             const e = document.documentElement, view = document.getElementById('view').getBoundingClientRect();
-            const wide = [...document.querySelectorAll('#panel *')].filter((x) => x.getBoundingClientRect().right > innerWidth + 1);
+            const out = (element) => element.getBoundingClientRect().right > innerWidth + 1;
+            const wide = [...document.querySelectorAll('#panel *')].filter(out);
             return [e.scrollWidth <= innerWidth, e.scrollHeight <= innerHeight, view.width, view.height, wide.length];
         })()""")  # fmt: skip
         page.evaluate("viewer.toggles.set('normals', true); viewer.toggles.set('normals', false)")
         _kept(page.picture(), f"layout-{size[0]}")
     finally:
+        page.evaluate("document.body.classList.add('bare')")
         page.size(*SIZE)
     assert found[:2] == [True, True]
     assert found[2] >= 0.7 * size[0] or size[0] > 1000
@@ -254,7 +257,7 @@ def test_layout_needs_no_scrolling(page, size):
 
 def test_normals_agree_with_python(page, project):
     """Mean difference over the skin of five expressions: within 2/255, measured 0.5/255."""
-    page.evaluate("document.body.classList.add('bare'); viewer.toggles.set('normals', true)")
+    page.evaluate("viewer.toggles.set('normals', true)")
     distance, height = VIEW.distance * 1e-3, VIEW.height * 1e-3
     page.evaluate(f"""(() => {{
         const v = viewer, c = {json.dumps([x * 1e-3 for x in VIEW.centre])};
@@ -273,9 +276,8 @@ def test_normals_agree_with_python(page, project):
         inner = cv2.erode(skin.astype(np.uint8), np.ones((5, 5))) > 0
         apart.append(np.abs(drawn - mine)[inner].mean())
     page.evaluate("viewer.toggles.set('normals', false); viewer.frame()")
-    print("mean difference of normals in 255ths:", np.round(apart, 3))
-    assert 0 < min(apart)
-    assert max(apart) < 2
+    assert min(apart) > 0
+    assert max(apart) < 2, apart
 
 
 def test_export_is_served_by_any_server(project, tmp_path):

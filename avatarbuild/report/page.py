@@ -22,6 +22,10 @@ _SMILE = {
     "jawOpen": 0.16,
     "browInnerUp": 0.25,
 }
+_ELSEWHERE = (
+    "To see it move, with its wrinkles and any light: <code>avatarbuild view PROJECT</code>. To put contours and points right"
+    " by hand: <code>avatarbuild annotate PROJECT</code>. PROJECT is the folder above this page’s."
+)
 _PLACES = (
     *(("advice", "What to do"), ("coverage", "Photos"), ("cloud", "Surface"), ("fit", "Fit")),
     *(("expressions", "Expressions"), ("performance", "Performance"), ("details", "Wrinkles")),
@@ -97,6 +101,7 @@ def _opening(capture: Capture, cameras: Cameras, figure: heads.Figure, stages: l
             "The avatar’s shape in the skin’s own colours, without the photos’ light; what none shows is filled in.",
             "note",
         )
+        + paragraph(_ELSEWHERE, "note")
     )
 
 
