@@ -51,8 +51,7 @@ def build(job: Job, stop: threading.Event | None = None) -> Outcome:
 
 
 def _run(job: Job, held: Claim, stop: threading.Event) -> Outcome:
-    threads = str(job.threads or cores())
-    environment = {**os.environ, **dict.fromkeys((*_THREADS_OF_LIBRARIES, THREADS), threads)}
+    environment = {**os.environ, **one_share(job.threads or cores())}
     # the program may run from a checkout, without being installed
     paths = [str(Path(avatarbuild.__file__).parent.parent), os.environ.get("PYTHONPATH", "")]
     environment["PYTHONPATH"] = os.pathsep.join(path for path in paths if path)
@@ -80,6 +79,11 @@ def _run(job: Job, held: Claim, stop: threading.Event) -> Outcome:
         finally:
             _end(run)
         return Outcome(job.subject, *_verdict(run.returncode, said), 0.0, peak)
+
+
+def one_share(threads: int) -> dict[str, str]:
+    """Variables of a process that shall compute with so many threads."""
+    return dict.fromkeys((*_THREADS_OF_LIBRARIES, THREADS), str(threads))
 
 
 def _must_end(job: Job, used: int, seconds: float) -> tuple[str, str] | None:
