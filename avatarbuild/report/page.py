@@ -23,8 +23,8 @@ _SMILE = {
     "browInnerUp": 0.25,
 }
 _ELSEWHERE = (
-    "To see it move, with its wrinkles and any light: <code>avatarbuild view PROJECT</code>. To put contours and points "
-    "right by hand: <code>avatarbuild annotate PROJECT</code>. PROJECT is the folder above this page’s."
+    "To see it move, with its wrinkles and any light: <code>avatarbuild view PROJECT</code>. To put contours and "
+    "points right by hand: <code>avatarbuild annotate PROJECT</code>. PROJECT is the folder above this page’s."
 )
 _PLACES = (
     *(("advice", "What to do"), ("coverage", "Photos"), ("cloud", "Surface"), ("fit", "Fit")),

@@ -1,0 +1,140 @@
+"""
+What the viewer costs: seconds to the first picture, the page's size, milliseconds a picture in software GL, the shader.
+
+    PYTHONPATH=. python benchmarks/viewer.py PROJECT [--pictures 10]
+
+PROJECT has a finished avatar. Needs Chromium (AVATARBUILD_CHROMIUM names its program). A picture is drawn at 640 x 640
+with all 52 shapes at work and the shadow made anew, and read back, so that nothing is left in a queue.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from avatarbuild.project import Project
+from avatarbuild.viewer.view import export
+from tests import devtools
+
+READY = "document.documentElement.dataset.state === 'ready'"
+FIRST = ("index.html", "viewer.css", ".js", ".glsl", "scene.json", "avatar.glb", "traits.bin", "details/")
+_CALLS = re.compile(r"\b([A-Za-z_]\w*)\s*\(")
+_LOOP = re.compile(r"for\s*\([^;]*=\s*(-?\d+)[^;]*;[^;]*<\s*(\d+)[^;]*;[^)]*\)+\s*\{")
+_HEAVY = {"exp": 4, "exp2": 4, "pow": 8, "sqrt": 4, "normalize": 8, "inversesqrt": 4, "log2": 4, "reflect": 6}
+_LIGHT = ("dot", "mix", "clamp", "max", "min", "cross", "abs", "floor", "fract", "step", "smoothstep", "mod", "length")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("project", type=Path)
+    parser.add_argument("--pictures", type=int, default=10)
+    args = parser.parse_args()
+    project = Project(args.project)
+    with tempfile.TemporaryDirectory() as folder:
+        total = export(project, Path(folder) / "page", lambda _: None)
+        sizes = {p.relative_to(folder).as_posix(): p.stat().st_size for p in Path(folder).rglob("*") if p.is_file()}
+    first = sum(size for name, size in sizes.items() if any(part in name for part in FIRST))
+    print(f"page: {total / 1e6:.1f} MB in all; {first / 1e6:.1f} MB for the first picture")
+    for name, size in sorted(sizes.items(), key=lambda item: -item[1])[:6]:
+        print(f"  {size / 1e6:6.2f}  {name}")
+    with devtools.browser() as page:
+        page.size(640, 640)
+        begun = time.monotonic()
+        command = [sys.executable, "-m", "avatarbuild", "view", str(args.project), "--no-browser", "--live", "0"]
+        program = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        try:
+            assert program.stderr is not None
+            address = next(word for word in program.stderr.readline().split() if word.startswith("http"))
+            served = time.monotonic()
+            page.open(address)
+            page.wait(READY, 300)
+            shown = time.monotonic()
+            print(f"first picture: {shown - begun:.1f} s, of which {served - begun:.1f} until the server answers")
+            page.wait("window.viewer && document.documentElement.dataset.albedo", 300)
+            page.press("h")
+            page.wait("document.getElementById('canvas').width === 640", 30)
+            for name, before in (
+                ("all", ""),
+                ("without details", "viewer.toggles.set('details', false)"),
+                ("blendshapes only", "viewer.toggles.set('bare', true)"),
+            ):
+                page.evaluate(before)
+                times = page.evaluate(f"viewer.measure({args.pictures})", 3000)
+                drawn, cpu = statistics.median(times["drawn"]), statistics.median(times["cpu"])
+                print(f"640 x 640, {name}: {drawn:.0f} ms a picture, {cpu:.2f} ms of it weights and strain")
+            source = page.evaluate(_SOURCE)
+            for part in ("vertex", "fragment"):
+                reads, work = cost(source[part])
+                print(f"skin, {part} shader: at most {reads} texture reads, about {work} operations on vectors")
+        finally:
+            program.terminate()
+            program.wait(20)
+
+
+_SOURCE = """(() => {
+    const gl = viewer.renderer.getContext(), debug = gl.getExtension('WEBGL_debug_shaders');
+    const program = viewer.renderer.properties.get(viewer.surface.skin).currentProgram;
+    const of = (shader) => debug.getTranslatedShaderSource(shader);
+    return { vertex: of(program.vertexShader), fragment: of(program.fragmentShader) };
+})()"""
+
+
+def cost(source: str) -> tuple[int, int]:
+    """Texture reads and operations of main(), every branch taken, loops by their counts, calls followed."""
+    bodies = dict(_functions(source))
+    known: dict[str, tuple[int, int]] = {}
+
+    def of(name: str) -> tuple[int, int]:
+        if name not in known:
+            known[name] = (0, 0)
+            known[name] = walk(bodies[name])
+        return known[name]
+
+    def walk(text: str) -> tuple[int, int]:
+        reads = work = 0
+        while loop := _LOOP.search(text):
+            end = _closing(text, loop.end() - 1)
+            inner = walk(text[loop.end() : end])
+            times = int(loop[2]) - int(loop[1])
+            reads, work = reads + times * inner[0], work + times * inner[1]
+            text = text[: loop.start()] + text[end + 1 :]
+        work += len(re.findall(r"(?<![\w(,=+*/-])\s*[-+*/](?!=)|[-+*/]=", text))
+        for call in _CALLS.findall(text):
+            if call in bodies:
+                inner = of(call)
+                reads, work = reads + inner[0], work + inner[1]
+            elif call.startswith(("texture", "texelFetch")) and call != "textureSize":
+                reads += 1
+            else:
+                work += _HEAVY.get(call, 1 if call in _LIGHT else 0)
+        return reads, work
+
+    return of(next(name for name in bodies if name.endswith("main")))
+
+
+def _functions(source: str) -> list[tuple[str, str]]:
+    found = []
+    for head in re.finditer(r"^[\w ]+?\b(\w+)\s*\(([^;{}]*)\)\s*\{", source, re.MULTILINE):
+        if head[1] not in ("if", "for", "while", "switch"):
+            end = _closing(source, head.end() - 1)
+            found.append((head[1], source[head.end() : end]))
+    return found
+
+
+def _closing(text: str, at: int) -> int:
+    depth = 0
+    for i in range(at, len(text)):
+        depth += (text[i] == "{") - (text[i] == "}")
+        if depth == 0:
+            return i
+    raise ValueError("a brace is not closed")
+
+
+if __name__ == "__main__":
+    main()
