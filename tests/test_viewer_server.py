@@ -245,5 +245,17 @@ def test_from_a_packet_to_the_page():
         sender.sendto(b"\xff\xfe nonsense", ("127.0.0.1", port))
         sender.sendto(_osc("/x/JAWOPEN", "f", 0.25), ("127.0.0.1", port))
         assert json.loads(page.recv(10)) == {"weights": {"jawOpen": 0.25}, "head": None}
-        with connect(f"ws://{urlsplit(address).netloc}/live") as second:  # the port is in use by the first page
-            assert "cannot be listened to" in json.loads(second.recv(10))["told"]
+        with connect(f"ws://{urlsplit(address).netloc}/live") as second:
+            assert str(port) in json.loads(second.recv(10))["told"]
+            sender.sendto(_osc("/x/jawOpen", "f", 0.5), ("127.0.0.1", port))
+            for each in (page, second):
+                assert json.loads(each.recv(10))["weights"] == {"jawOpen": 0.5}
+
+
+def test_a_port_of_another_program_is_said():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        port = other.getsockname()[1]
+        with server.serving(server.application({}, [live.route(port)])) as address:
+            with connect(f"ws://{urlsplit(address).netloc}/live") as page:
+                assert "cannot be listened to" in json.loads(page.recv(10))["told"]
