@@ -59,7 +59,7 @@ def as_drawn(
     points, drawn, warnings = seen.points.copy(), set(), []
     order = sorted(told, key=lambda name: (-_turned(photos, name), name))
     for name in order:
-        rows = np.flatnonzero(placed.index == photos.names.index(name)) if name in photos.names else []
+        rows = np.flatnonzero(placed.index == (photos.names.index(name) if name in photos.names else -1))
         if not len(rows):
             warnings.append(f"corrections.json has contours for {name}, which is no placed photo: they are not used")
             continue

@@ -111,9 +111,9 @@ def page(project: Project, stale: Stale) -> Starlette:
         out: dict[int, dict[int, list[float]]] = {}
         for i, (pixels, sure) in flow.carried(told.video).items():
             if i in shown:
-                known = np.flatnonzero(sure)
-                rows = np.round(np.c_[pixels[known] - 0.5, sure[known]], 2)
-                out[i] = {int(k): row.tolist() for k, row in zip(known, rows, strict=True)}
+                known = [int(k) for k in np.flatnonzero(sure) if k not in told.video.get(i, {})]
+                rows = np.column_stack([pixels - 0.5, sure]).round(2)
+                out[i] = {k: rows[k].tolist() for k in known}
         return {"frames": out, "ready": flow.ready(frame)}
 
     async def propagate(request: Request) -> Response:

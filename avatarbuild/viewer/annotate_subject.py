@@ -11,7 +11,7 @@ import numpy as np
 
 from avatarbuild.artefacts import Cameras, Capture, Clip, Neutral, Performance, StoredImage, Views
 from avatarbuild.errors import InputError
-from avatarbuild.formats.corrections import COUNT, Corrections
+from avatarbuild.formats.corrections import Corrections
 from avatarbuild.formats.images import decode_jpeg, encode_jpeg
 from avatarbuild.landmarks import IRIS_RIGHT
 from avatarbuild.project import Project
@@ -127,19 +127,16 @@ def _fitted(project: Project, photos: Views, i: int, template: Template) -> dict
     from avatarbuild.sfm.metric import placed_photos
     from avatarbuild.texture.photos import placed_in_head
 
-    cameras, head = (kind.load(project.folder(stage)) for kind, stage in ((Cameras, "cameras"), (Neutral, "neutral")))
+    cameras = Cameras.load(project.folder("cameras"))
+    head = Neutral.load(project.folder("neutral"))
     if len(head.vertices) != template.vertex_count:
         return {}
     placed = placed_photos(cameras.model, [f"{name}.jpg" for name in photos.names])
     for view in placed_in_head(photos, placed, head.head_from_cloud):
         if view.photo == i:
-            lens, turned = view.K, view.R
-            lines = {}
-            for name, (own, _) in RIMS.items():
-                x = head.vertices[template.contours[own]]
-                flat, _ = cv2.projectPoints(x, cv2.Rodrigues(turned)[0], view.t, lens, view.dist)
-                lines[name] = flat[:, 0]
-            return lines
+            turn = cv2.Rodrigues(view.R)[0]
+            rims = {name: head.vertices[template.contours[own]] for name, (own, _) in RIMS.items()}
+            return {name: cv2.projectPoints(x, turn, view.t, view.K, view.dist)[0][:, 0] for name, x in rims.items()}
     return {}
 
 
@@ -274,6 +271,3 @@ def video_path(source: Path, subject: Subject) -> Path | None:
     if subject.footage is None or not (source / subject.footage.clip.file).is_file():
         return None
     return source / subject.footage.clip.file
-
-
-__all__ = ["COUNT", "PARTS", "Subject", "described", "open_subject", "piece", "require_known", "video_path"]

@@ -1,6 +1,7 @@
 // The video's processed frames: 68 points each, carried to the neighbours by the tracker's own flow.
 
 import { toCanvas } from "./store.js";
+import { boxAround } from "./view.js";
 
 const CHAINS = [
   { name: "jaw", of: [[0, 17]] },
@@ -48,6 +49,15 @@ export class FramesMode {
 
   get box() {
     return this.row.box;
+  }
+
+  // what a button shows: the face, the eyes, the mouth
+  part(name) {
+    if (name === "whole") return [0, 0, ...this.size];
+    const points = this.row.points;
+    if (!points) return this.box;
+    const [from, to] = { face: [0, COUNT], eyes: [17, 48], mouth: [48, 68] }[name];
+    return boxAround(points.slice(from, to), name === "face" ? 0.1 : 0.25);
   }
 
   where() {
@@ -242,7 +252,7 @@ export class FramesMode {
     if (!row.found) return "The detector found no face in this frame: it is not tracked.";
     const told = [`${row.time.toFixed(2)} s`];
     if (row.quality === null) told.push(`detector ${(100 * row.presence).toFixed(1)} %`);
-    else told.push(`tracking's quality ${row.quality.toFixed(2)}`, `points ${row.residual.toFixed(1)} mm beside the tracked head`);
+    else told.push(`tracking's quality ${row.quality.toFixed(2)}`, `points ${row.residual.toFixed(1)} mm off the tracked head`);
     const set = Object.keys(this.told68()).length;
     if (set) told.push(`${set} points set by hand`);
     return told.join(" · ");

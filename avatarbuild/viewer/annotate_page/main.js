@@ -17,7 +17,7 @@ const KEYS = [
   ["Ctrl+Z, Ctrl+Shift+Z", "undo, redo"],
   ["1, 2, 3", "a drag moves one point, its neighbours softly, the whole part (also: hold Shift)"],
   ["+, −, wheel, pinch", "zoom"],
-  ["F, W", "the face, the whole picture"],
+  ["F, E, M, W", "the face, the eyes, the mouth, the whole picture"],
   ["Space and drag", "move the picture (so does a drag beside the points)"],
   ["R, L, H", "reference lines, loupe, hide the points while held"],
   ["P, V", "frontal photo, video frames"],
@@ -28,7 +28,9 @@ const NUDGE = 0.5; // pixels
 const find = (id) => document.getElementById(id);
 const each = (selector, action) => document.querySelectorAll(selector).forEach(action);
 
-const page = { modes: {}, mode: null, store: null, view: null, order: "worst", items: new Map() };
+const page = { modes: {}, mode: null, store: null, view: null, order: "worst", items: new Map(), part: "face" };
+
+globalThis.annotate = page; // for the browser's console, and for tests
 
 boot().catch((error) => {
   find("empty").hidden = false;
@@ -73,7 +75,8 @@ function show(tab) {
   if (mode) {
     find("reference-name").textContent = tab === "photo" ? "Dashed: the other start" : "Dashed: the tracked head";
     find("show-reference").checked = mode.reference;
-    page.view.fit(mode.box);
+    page.part = "face";
+    page.view.fit(mode.part(page.part));
   }
   if (tab === "frames" && mode) openFrame(mode.frame);
   refresh();
@@ -82,9 +85,8 @@ function show(tab) {
 function openFrame(frame) {
   const mode = page.modes.frames;
   if (frame === null || !mode) return;
-  const before = mode.box;
   mode.frameShown = frame;
-  if (page.view.wanted === before || page.view.wanted) page.view.fit(mode.box);
+  if (page.view.wanted) page.view.fit(mode.part(page.part));
   const item = page.items.get(frame);
   each("#frames [aria-current]", (old) => old.removeAttribute("aria-current"));
   each("#frames button[aria-pressed]", (old) => old.removeAttribute("aria-pressed"));
@@ -97,6 +99,13 @@ function openFrame(frame) {
   const next = mode.nextWorst();
   if (next !== null) page.pictures.get(`picture/frame/${next}/face`);
   refresh();
+}
+
+function look(part) {
+  if (!page.mode) return;
+  page.part = part;
+  page.view.fit(page.mode.part(part));
+  if (page.tab === "frames") nearby();
 }
 
 function told(what) {
@@ -121,12 +130,12 @@ function told(what) {
 }
 
 function carried() {
-  if (page.tab === "frames") refresh();
+  if (page.tab === "frames" && page.mode) refresh();
 }
 
 function redraw() {
   page.view?.redraw();
-  if (page.tab === "frames") nearby();
+  if (page.tab === "frames" && page.mode) nearby();
 }
 
 function refresh() {
@@ -233,12 +242,11 @@ function nearby() {
     canvas.width = Math.round(w * ratio);
     canvas.height = Math.round(h * ratio);
     const there = mode.of(frame);
-    const [l, t, r, b] = there.box;
-    const room = 0.13 * (r - l);
-    const scale = Math.min(w / (r - l - 2 * room), h / (b - t - 2 * room));
+    const [l, t, r, b] = there.part(page.part === "whole" ? "face" : page.part);
+    const scale = Math.min(w / (r - l), h / (b - t));
     const origin = [(l + r) / 2 - w / 2 / scale, (t + b) / 2 - h / 2 / scale];
     const small = { pictures: () => there.pictures().slice(1), lines: () => [], handles: () => there.handles() };
-    paint(canvas.getContext("2d"), small, page.pictures, scale, origin, ratio, null, 0.42);
+    paint(canvas.getContext("2d"), small, page.pictures, scale, origin, ratio, null, Math.min(0.42 + 0.2 * scale, 0.8));
     button.lastChild.textContent = step === 0 ? "this frame" : `${frame} · ${there.row.time.toFixed(1)} s`;
   });
 }
@@ -352,8 +360,9 @@ function buttons() {
       refresh();
     }),
   );
-  const zooms = { in: () => view.zoom(1.4), out: () => view.zoom(1 / 1.4), face: () => view.fit(page.mode.box), whole: () => view.fit([0, 0, ...page.mode.size]) };
-  each("[data-zoom]", (button) => button.addEventListener("click", () => page.mode && zooms[button.dataset.zoom]()));
+  const zooms = { in: 1.4, out: 1 / 1.4 };
+  each("[data-zoom]", (button) => button.addEventListener("click", () => view.zoom(zooms[button.dataset.zoom])));
+  each("[data-part]", (button) => button.addEventListener("click", () => look(button.dataset.part)));
   const clicks = {
     undo: () => back(store.undo()),
     redo: () => back(store.redo()),
@@ -404,8 +413,10 @@ function pressed(event) {
     "+": () => view.zoom(1.25),
     "=": () => view.zoom(1.25),
     "-": () => view.zoom(1 / 1.25),
-    f: () => view.fit(page.mode.box),
-    w: () => view.fit([0, 0, ...page.mode.size]),
+    f: () => look("face"),
+    e: () => look("eyes"),
+    m: () => look("mouth"),
+    w: () => look("whole"),
     " ": () => hold(true),
     r: () => find("show-reference").click(),
     l: () => find("show-loupe").click(),

@@ -1,6 +1,7 @@
 // The frontal photo: lids, lips and brows as lines whose corners can be dragged.
 
 import { toCanvas } from "./store.js";
+import { boxAround } from "./view.js";
 
 const RINGS = [
   { name: "right eye", lines: ["lidUpperRight", "lidLowerRight"] },
@@ -38,6 +39,14 @@ export class PhotoMode {
   pictures() {
     const [l, t, r, b] = this.box;
     return [["picture/photo/whole", [0, 0, ...this.size]], ["picture/photo/face", [l, t, r - l, b - t]]];
+  }
+
+  // what a button shows: the face, the eyes, the mouth
+  part(name) {
+    if (name === "whole") return [0, 0, ...this.size];
+    const wanted = { face: /./, eyes: /lid|brow/, mouth: /lips/ }[name];
+    const points = RINGS.flatMap((ring) => ring.lines.filter((line) => wanted.test(line)).flatMap((line) => this.line(line)));
+    return boxAround(points, name === "face" ? 0.3 : 0.12);
   }
 
   drawn() {

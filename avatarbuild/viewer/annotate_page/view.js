@@ -249,6 +249,14 @@ export class View {
   }
 }
 
+// left, top, right, bottom of points, with room about them as a share of their larger extent
+export function boxAround(points, room) {
+  const [xs, ys] = [points.map(([x]) => x), points.map(([, y]) => y)];
+  const [l, t, r, b] = [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
+  const about = room * Math.max(r - l, b - t);
+  return [l - about, t - about, r + about, b + about];
+}
+
 // a mode without its points
 export function bare(mode, lines = true) {
   return { pictures: () => mode.pictures(), lines: () => (lines ? mode.lines() : []), handles: () => [] };
