@@ -265,7 +265,7 @@ def run(
 
 def load_artefact(project: Project, name: str, capture_digest: str = "") -> Any:
     """What a stage made, with the figures and warnings of its stamp."""
-    made = STAGES[NAMES.index(name)].makes.load(project.folder(name))  # type: ignore[attr-defined]
+    made: Any = project.read(name, STAGES[NAMES.index(name)].makes)
     stamp = project.stamp(name) or {}
     known = {"figures": stamp.get("figures", {}), "warnings": stamp.get("warnings", [])}
     if name == "capture":

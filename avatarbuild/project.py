@@ -6,13 +6,14 @@ import contextlib
 import errno
 import hashlib
 import json
+import logging
 import os
 import shutil
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import filelock
 
@@ -20,6 +21,9 @@ from avatarbuild.errors import InputError
 from avatarbuild.formats.corrections import Corrections, corrections_bytes, read_corrections
 from avatarbuild.template_files import SHIPPED, TemplateFile, resolve
 
+log = logging.getLogger(__name__)
+
+T = TypeVar("T")
 _PARTIAL, _OLD = ".saving-", ".replaced-"
 _STAGE_ORDER = (
     "capture",
@@ -100,11 +104,37 @@ class Project:
             ) from None
 
     def stamp(self, stage: str) -> dict[str, Any] | None:
-        """What a finished stage left in its stamp.json; None where the stage has not been run."""
+        """What a finished stage left in its stamp.json; None where it has not been run, or the stamp is damaged."""
         try:
-            return json.loads((self.folder(stage) / "stamp.json").read_text(encoding="utf-8"))
-        except (FileNotFoundError, NotADirectoryError, json.JSONDecodeError):
+            stamp = json.loads((self.folder(stage) / "stamp.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError):
             return None
+        return stamp if _sound(stamp) else None
+
+    def read(self, stage: str, kind: type[T]) -> T:
+        """
+        What a stage made, as an artefact of `kind`.
+
+        Raises InputError where a file of it has changed since it was made, is gone or cannot be read.
+        """
+        folder = self.folder(stage)
+        again = f"make it again: avatarbuild run CAPTURE -o {self.root} --from {stage}"
+        try:
+            now = _digests(folder)
+            changed = [
+                name for name, digest in (self.stamp(stage) or {}).get("files", {}).items() if now.get(name) != digest
+            ]
+            if changed:
+                gone = "is gone" if changed[0] not in now else "has changed since it was made"
+                raise InputError(f"{folder / changed[0]} {gone}; {again}")
+            return kind.load(folder)  # type: ignore[attr-defined]
+        except InputError:
+            raise
+        except OSError as error:
+            raise InputError(f"{folder} cannot be read ({error.strerror or error}); {again}") from None
+        except Exception as error:  # whatever a decoder makes of a damaged file that no stamp vouches for
+            log.debug("%s", folder, exc_info=True)
+            raise InputError(f"{folder} is damaged ({type(error).__name__}: {error}); {again}") from None
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:
@@ -154,7 +184,9 @@ class Project:
         try:
             shutil.rmtree(partial, ignore_errors=True)
             artefact.save(partial)
-            text = json.dumps({"version": STAMP_VERSION, **stamp}, indent=1, ensure_ascii=False, sort_keys=True)
+            stamp = {"version": STAMP_VERSION, **stamp, "files": _digests(partial)}
+            stamp["seal"] = _seal(stamp)
+            text = json.dumps(stamp, indent=1, ensure_ascii=False, sort_keys=True)
             (partial / "stamp.json").write_text(text + "\n", encoding="utf-8")
             _flush(partial)
             if place.exists():
@@ -227,6 +259,33 @@ class Project:
     def remove(self, stage: str) -> None:
         """Deletes a stage's artefact."""
         shutil.rmtree(self.folder(stage), ignore_errors=True)
+
+
+def _digests(folder: Path) -> dict[str, str]:
+    """Of every file of a stage's folder but the stamp, by its name there, the first half of its SHA-256."""
+    made = {}
+    for path in sorted(folder.rglob("*")):
+        if path.is_file() and path != folder / "stamp.json":
+            with path.open("rb") as f:
+                made[path.relative_to(folder).as_posix()] = hashlib.file_digest(f, "sha256").hexdigest()[:32]
+    return made
+
+
+def _seal(stamp: dict[str, Any]) -> str:
+    told = {key: value for key, value in stamp.items() if key not in ("timing", "seal")}
+    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+
+
+def _sound(stamp: Any) -> bool:
+    """Whether a stamp is as it was written; of one without a seal, whether it has the right form."""
+    if not isinstance(stamp, dict) or not isinstance(stamp.get("timing", {}), dict):
+        return False
+    if not isinstance(stamp.get("timing", {}).get("seconds", 0.0), int | float):
+        return False
+    if "seal" in stamp:
+        return stamp["seal"] == _seal(stamp)
+    form = {"key": str, "versions": dict, "options": dict, "figures": dict, "warnings": list}
+    return "timing" in stamp and all(isinstance(stamp.get(key), kind) for key, kind in form.items())
 
 
 def _flush(folder: Path) -> None:

@@ -75,14 +75,14 @@ def rig_of(project: Project) -> Blendshapes:
     Raises InputError where there is none.
     """
     if project.stamp("tracking") is not None:
-        learnt = Performance.load(project.folder("tracking"))
+        learnt = project.read("tracking", Performance)
         if project.stamp("refinement") is None:
             return Blendshapes(learnt.neutral, learnt.deltas, learnt.eye_centres)
-        made = Refinement.load(project.folder("refinement"))
+        made = project.read("refinement", Refinement)
         return Blendshapes(made.neutral, made.deltas, learnt.eye_centres)
     if project.stamp("blendshapes") is None:
         raise InputError(f"{project.root} has no blendshapes yet: finish `avatarbuild run` first")
-    return Blendshapes.load(project.folder("blendshapes"))
+    return project.read("blendshapes", Blendshapes)
 
 
 def own_details(project: Project, template: Template) -> Synthesis | None:
@@ -96,7 +96,7 @@ def own_details(project: Project, template: Template) -> Synthesis | None:
 def _albedo(project: Project) -> Albedo:
     if project.stamp("albedo") is None:
         raise InputError(f"{project.root} has no albedo yet: finish `avatarbuild run` first")
-    return Albedo.load(project.folder("albedo"))
+    return project.read("albedo", Albedo)
 
 
 def _light(named: str, albedo: Albedo) -> np.ndarray | Light:

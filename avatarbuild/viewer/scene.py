@@ -170,7 +170,7 @@ def performance(track: Path) -> dict[str, Any]:
 
 def transferred(project: Project, template: Template) -> bytes:
     """The rig of stage blendshapes, transferred from the template, as a GLB with the same meshes and no pictures."""
-    rig = Blendshapes.load(project.folder("blendshapes"))
+    rig = project.read("blendshapes", Blendshapes)
     pixel = cv2.imencode(".png", _PIXEL)[1].tobytes()
     grey = cv2.imencode(".png", _PIXEL[..., 0])[1].tobytes()
     shapes = avatar_glb.Rig(rig.neutral, rig.deltas, rig.eye_centres, _LEAST_MOTION, _LEAST_TURN)
