@@ -256,6 +256,6 @@ def test_a_port_of_another_program_is_said():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
         port = other.getsockname()[1]
-        with server.serving(server.application({}, [live.route(port)])) as address:
-            with connect(f"ws://{urlsplit(address).netloc}/live") as page:
-                assert "cannot be listened to" in json.loads(page.recv(10))["told"]
+        served = server.serving(server.application({}, [live.route(port)]))
+        with served as address, connect(f"ws://{urlsplit(address).netloc}/live") as page:
+            assert "cannot be listened to" in json.loads(page.recv(10))["told"]

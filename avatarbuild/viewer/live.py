@@ -22,7 +22,7 @@ _GONE = (WebSocketDisconnect, RuntimeError)
 
 
 class Ear(asyncio.DatagramProtocol):
-    """Hears packets for every page that listens; a page's event is set while there is something that it has not seen."""
+    """Hears packets for every page that listens; a page's event is set while there is news for it."""
 
     def __init__(self, port: int) -> None:
         self.port, self.state = port, State()

@@ -79,7 +79,7 @@ async function main() {
 
   let details = null;
   const [read, traits] = await Promise.allSettled([
-    about.details ? loadDetails("data/details", renderer) : Promise.resolve(null),
+    about.details ? loadDetails("data/details", renderer, synthesis) : Promise.resolve(null),
     fetched("data/traits.bin", "arrayBuffer"),
   ]);
   if (read.status === "fulfilled") details = read.value;
@@ -441,6 +441,7 @@ async function main() {
 
   // ---- drawing
   function draw(whole = false) {
+    details?.refresh();
     renderer.shadowMap.needsUpdate = (whole || shadowStale) && surface.key.castShadow;
     shadowStale = false;
     renderer.info.reset();

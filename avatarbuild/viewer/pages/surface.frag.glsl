@@ -30,6 +30,7 @@ uniform sampler2D map;
 uniform vec3 surroundings[9];           // y of equation (1), in the surroundings' own axes
 uniform vec3 lobe_axis[LOBES], lobe_light[LOBES];
 uniform float lobe_sharpness[LOBES];
+uniform int lobes;
 uniform vec3 sky[3];                    // mirrored light from above, ahead, below
 uniform mat3 turned;                    // scene to the surroundings' axes
 uniform vec3 key_direction, key_light;
@@ -61,7 +62,7 @@ vec3 mirrored(vec3 r, float rough, float nv) {
     float own = 2.0 / (a * a) / max(4.0 * nv, 0.6);
     float up = d.y / (1.0 + 0.5 * a);
     vec3 light = up > 0.0 ? mix(sky[1], sky[0], smoothstep(0.0, 1.0, up)) : mix(sky[1], sky[2], smoothstep(0.0, 0.7, -up));
-    for (int i = 0; i < LOBES; i++) {
+    for (int i = 0; i < lobes; i++) {
         float both = own + lobe_sharpness[i];
         light += lobe_light[i] * (own / both) * exp(own * lobe_sharpness[i] / both * (dot(lobe_axis[i], d) - 1.0));
     }

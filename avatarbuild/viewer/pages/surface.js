@@ -13,6 +13,7 @@ export class Surface {
       surroundings: { value: three(9) },
       lobe_axis: { value: three(LOBES) },
       lobe_light: { value: three(LOBES) },
+      lobes: { value: 0 },
       lobe_sharpness: { value: new Array(LOBES).fill(1) },
       sky: { value: three(3) },
       turned: { value: new THREE.Matrix3() },
@@ -62,7 +63,7 @@ export class Surface {
       if (this.details) {
         Object.assign(defines, this.details.defines);
         Object.assign(uniforms, this.details.uniforms);
-        vertex = `#define DETAIL_DISTANCES\n${this.sources.synthesis}\n${vertex}`;
+        this.details.attach(mesh.geometry.attributes.uv);
         fragment = `precision highp sampler2DArray;\n#define DETAIL_LAYERS\n${this.sources.synthesis}\n${fragment}`;
       }
     }
@@ -87,6 +88,7 @@ export class Surface {
     const s = this.shared;
     y.forEach((row, j) => s.surroundings.value[j].fromArray(row).multiplyScalar(strength));
     environment.sky.forEach((row, j) => s.sky.value[j].fromArray(row).multiplyScalar(strength));
+    s.lobes.value = Math.min(environment.lamps.length, LOBES);
     for (let i = 0; i < LOBES; i++) {
       const lamp = environment.lamps[i];
       s.lobe_axis.value[i].fromArray(lamp?.axis ?? [0, 1, 0]);

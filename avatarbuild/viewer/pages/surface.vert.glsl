@@ -1,5 +1,5 @@
 // Vertices of every part of the head: morph targets, tangents, and for the skin how far each keyframe of the details is.
-// Defines: SKIN, EYE or MOUTH; KEYFRAMES and EDGES where there are details (then synthesis.glsl stands before this).
+// Defines: SKIN, EYE or MOUTH; where there are details KEYFRAMES, QUARTETS of them, and the ROW of their texture.
 
 #include <common>
 #include <morphtarget_pars_vertex>
@@ -15,8 +15,24 @@ attribute vec4 traits;  // lips, inside of the mouth, scalp, distance to the rim
 varying vec4 along;     // tangent in the scene, handedness
 varying vec4 kind;
 #ifdef KEYFRAMES
+uniform highp sampler2D quartets[QUARTETS];
 varying float apart[KEYFRAMES];
 #endif
+#endif
+
+#ifdef KEYFRAMES
+vec4 quartet(int i, ivec2 own) {  // arrays of textures are read by constant numbers only
+    #if QUARTETS > 1
+    if (i == 1) return texelFetch(quartets[1], own, 0);
+    #endif
+    #if QUARTETS > 2
+    if (i == 2) return texelFetch(quartets[2], own, 0);
+    #endif
+    #if QUARTETS > 3
+    if (i == 3) return texelFetch(quartets[3], own, 0);
+    #endif
+    return texelFetch(quartets[0], own, 0);
+}
 #endif
 
 void main() {
@@ -34,9 +50,8 @@ void main() {
     along = vec4(mat3(modelMatrix) * tangent.xyz, tangent.w);
     kind = traits;
     #ifdef KEYFRAMES
-    float phi[KEYFRAMES];
-    detail_distances(uv, phi);
-    for (int k = 0; k < KEYFRAMES; k++) apart[k] = phi[k];
+    ivec2 own = ivec2(gl_VertexID % ROW, gl_VertexID / ROW);
+    for (int k = 0; k < KEYFRAMES; k++) apart[k] = quartet(k / 4, own)[k % 4];
     #endif
     #endif
     #include <shadowmap_vertex>
