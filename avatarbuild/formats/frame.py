@@ -92,7 +92,10 @@ def display_turn(frame: av.VideoFrame) -> tuple[int, bool]:
 
     The container's matrix (a b u; c d v; x y w) takes a stored pixel (x, y) to (a x + c y, b x + d y), y down.
     """
-    found: Any = frame.side_data.get("DISPLAYMATRIX")
+    try:
+        found: Any = frame.side_data.get("DISPLAYMATRIX")
+    except ValueError:  # the decoder gives data besides, such as EXIF, that this PyAV has no name for
+        return round(-frame.rotation / 90) % 4, False
     if found is None:
         return 0, False
     a, b, _, c, d = np.frombuffer(bytes(found), np.int32)[:5].astype(float)

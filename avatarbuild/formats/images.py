@@ -24,6 +24,7 @@ log = logging.getLogger(__name__)
 
 PHOTO_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".heic", ".heif", ".hif"})
 
+MIN_SIDE = 16  # pixels: less is an icon
 MAX_PIXELS = 300_000_000  # beyond any phone; a larger picture is a stitched panorama or a trap
 
 # Pillow's own limit is a third of this and would refuse pictures that are read here in strips
@@ -177,6 +178,8 @@ def _opened(path: Path) -> Iterator[tuple[Image.Image, int]]:
         if image.width * image.height > MAX_PIXELS:
             found = f"{image.width} x {image.height} pixels"
             raise InputError(f"{path}: {found}, more than 300 million; scale it down or remove it")
+        if min(image.size) < MIN_SIDE:
+            raise InputError(f"{path}: {image.width} x {image.height} pixels are no photo; remove it")
         if not picture_files.is_whole(data, image.format):
             raise InputError(f"{path}: the file ends early; copy it from the camera again or remove it")
         if image.format == "PNG":
