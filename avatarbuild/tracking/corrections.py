@@ -65,12 +65,15 @@ class Step:
         return landed / self.scale + self.corner, inside / (1 + (apart / _AGREE) ** 2)
 
     def _sampled(self, field: np.ndarray, at: np.ndarray) -> np.ndarray:
-        shrunk = at * (np.array(field.shape[1::-1]) / self.size) - 0.5  # OpenCV counts from the first sample's centre
-        x, y = np.ascontiguousarray(shrunk.T, np.float32)
-        found = cv2.remap(
-            field.astype(np.float32), x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
-        return found[:, 0].astype(np.float64)
+        """(q, 2) bilinear of a field at points (q, 2) of the window, held at its borders."""
+        h, w = field.shape[:2]
+        limit = np.array([w - 1, h - 1])
+        samples = np.clip(at * (np.array([w, h]) / self.size) - 0.5, 0, limit)
+        low = np.minimum(samples.astype(int), np.maximum(limit - 1, 0))
+        x, y = (samples - low).T[..., None]
+        j, i = low.T
+        above, below = ((1 - x) * field[r, j] + x * field[r, j + 1] for r in (i, i + 1))
+        return (1 - y) * above + y * below
 
 
 def propagated(
@@ -103,7 +106,7 @@ def stretches(clicked: Iterable[int], times: np.ndarray) -> list[list[int]]:
 
 def steps(frames: list[int], expected: Expected, decode: Decode) -> Iterator[Step]:
     """The flow from each of these frames (rising) to the next that can be decoded, and back."""
-    first, before = -1, np.empty(0)
+    first, before = -1, np.zeros((0, 0), np.uint8)
     for then, _, rgb in decode(frames):
         now = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY)
         if first >= 0:

@@ -114,7 +114,7 @@ def page(project: Project, stale: Stale) -> Starlette:
                 known = [int(k) for k in np.flatnonzero(sure) if k not in told.video.get(i, {})]
                 rows = np.column_stack([pixels - 0.5, sure]).round(2)
                 out[i] = {k: rows[k].tolist() for k in known}
-        return {"frames": out, "ready": flow.ready(frame)}
+        return {"frames": out, "ready": flow.ready(frame), "fault": flow.fault}
 
     async def propagate(request: Request) -> Response:
         body = await _body(request)
@@ -145,12 +145,7 @@ def _flow(project: Project, subject: Subject) -> LiveFlow | None:
     assert subject.footage is not None
     clip, seen = subject.footage.clip, subject.footage.seen
     sightings = Sightings(clip.processed[seen], clip.frames.landmarks[seen])
-    try:
-        keys = video.keyframes(path)
-    except InputError as error:
-        subject.notes["flow"] = str(error)
-        return None
-    return LiveFlow(clip.times, keys, sightings.expected, partial(video.decode_frames, path))
+    return LiveFlow(clip.times, sightings.expected, partial(video.decode_frames, path))
 
 
 def _photo_names(project: Project) -> list[str]:

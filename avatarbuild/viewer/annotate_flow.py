@@ -13,19 +13,18 @@ from avatarbuild.tracking.corrections import REACH, Clicked, Decode, Expected, S
 log = logging.getLogger(__name__)
 
 _MOST = 1500  # steps kept, of about 170 kB each
-_LEAST_BLOCK = 12  # frames that are decoded in one go
+_FIRST = 12  # frames on both sides of the one that is looked at, which come first
 
 
 class LiveFlow:
     """
     The steps about the frame that somebody looks at, made by a thread of its own, the nearest first; then those about
-    the other corrected frames. It decodes from keyframe to keyframe.
+    the other corrected frames.
     """
 
-    def __init__(self, times: np.ndarray, keyframes: np.ndarray, expected: Expected, decode: Decode) -> None:
+    def __init__(self, times: np.ndarray, expected: Expected, decode: Decode) -> None:
         self.times, self.fault = times, ""
         self._expected, self._decode = expected, decode
-        self._block = np.searchsorted(_spaced(keyframes), np.arange(len(times)), side="right")
         self._steps: dict[int, Step] = {}
         self._tried = np.zeros(max(len(times) - 1, 0), bool)  # by the frame that a step begins in
         self._focus, self._corrected = -1, frozenset[int]()
@@ -61,19 +60,19 @@ class LiveFlow:
         return np.maximum(abs(t[:-1] - t[frame]), abs(t[1:] - t[frame])) <= REACH
 
     def _next(self) -> list[int]:
-        """Frames to decode, rising: the nearest missing steps' part between two keyframes."""
+        """Frames to decode, rising: missing steps from the nearest on, the more the farther that is."""
         about = [self._focus, *sorted(self._corrected, key=lambda i: abs(i - self._focus))]
         for frame in about:
             if not 0 <= frame < len(self.times):
                 continue
             missing = np.flatnonzero(self._near(frame) & ~self._tried)
-            if not len(missing):
-                continue
-            nearest = missing[np.abs(missing + 0.5 - frame).argmin()]
-            same = missing[self._block[missing] == self._block[nearest]]
-            runs = np.split(same, np.flatnonzero(np.diff(same) > 1) + 1)
-            run = next(run for run in runs if nearest in run)
-            return [*run.tolist(), int(run[-1]) + 1]
+            if len(missing):
+                apart = np.abs(missing + 0.5 - frame)
+                some = missing[apart <= 2 * apart.min() + _FIRST]
+                runs = np.split(some, np.flatnonzero(np.diff(some) > 1) + 1)
+                nearest = missing[apart.argmin()]
+                run = next(run for run in runs if nearest in run)
+                return [*run.tolist(), int(run[-1]) + 1]
         return []
 
     def _work(self) -> None:
@@ -89,13 +88,16 @@ class LiveFlow:
                     with self._changed:
                         self._steps[step.first] = step
                         self._tried[step.first : step.then] = True
-                        if self._closed or abs(self._focus - focus) > len(frames):
+                        if self._closed or self._focus != focus:
                             break
                 else:
                     self._tried[frames[:-1]] = True  # those that cannot be decoded
             except InputError as error:
-                log.warning("%s", error)
                 self.fault = str(error)
+                return
+            except Exception:  # nobody waits for this thread: it says so on the page
+                log.exception("the flow ends")
+                self.fault = "The flow has ended with a fault: points are not carried any more on this page."
                 return
             self._forget()
 
@@ -107,12 +109,3 @@ class LiveFlow:
                 if not any(0 <= i < len(self.times) and self._near(i)[first] for i in kept):
                     del self._steps[first]
                     self._tried[first] = False
-
-
-def _spaced(keyframes: np.ndarray) -> np.ndarray:
-    """Keyframes that are at least _LEAST_BLOCK apart."""
-    kept: list[int] = []
-    for key in keyframes:
-        if not kept or key - kept[-1] >= _LEAST_BLOCK:
-            kept.append(int(key))
-    return np.array(kept, int)

@@ -38,6 +38,7 @@ export class FramesMode {
     this.reference = false;
     this.carried = {};
     this.ready = 1;
+    this.fault = "";
     this.asking = false;
     this.again = false;
     this.frame = this.worst[0];
@@ -220,6 +221,7 @@ export class FramesMode {
         const said = await answer.json();
         this.carried = said.frames;
         this.ready = said.ready;
+        this.fault = said.fault;
         this.told();
       }
     } catch {

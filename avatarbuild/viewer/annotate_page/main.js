@@ -161,7 +161,8 @@ function refresh() {
   note.hidden = true;
   if (page.tab === "frames") {
     const busy = mode.live && mode.ready < 1 && mode.count() > 0;
-    note.textContent = busy ? `Flow about this frame: ${Math.floor(100 * mode.ready)} %` : (page.notes.flow ?? "");
+    note.textContent = busy ? `Flow about this frame: ${Math.floor(100 * mode.ready)} %` 
+      : mode.fault || (page.notes.flow ?? "");
     note.hidden = !note.textContent;
     find("keep").disabled = !mode.handles().some((one) => one.kind === "carried");
     find("before").disabled = mode.beside(-1) === null;
