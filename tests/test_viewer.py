@@ -310,7 +310,7 @@ def test_an_avatar_from_photos_alone_and_no_webgl(tmp_path):
         page.size(*SIZE)
         page.open(address)
         assert page.wait(READY, 120) == "ready"
-        page.wait("window.viewer", 60)
+        page.wait("!!window.viewer", 60)
         assert page.faults == []
         details = page.evaluate(
             "(({ disabled, title }) => [disabled, title])(document.querySelector('[data-toggle=details]'))"

@@ -208,7 +208,11 @@ def _light(project: Project) -> list[list[float]] | None:
 
 def _mouth(template: Callable[[], Template], glb: Callable[[], Gltf]) -> dict[str, Any] | None:
     """The two vertices of mesh `head` whose distance is the gap between the lips; None for another template's file."""
-    known = template()
+    try:
+        known = template()
+    except InputError as error:  # the face can be seen without it
+        log.warning("%s", error)
+        return None
     head = glb().named("meshes", "head")["primitives"][0]["attributes"]["POSITION"]
     if glb().tree["accessors"][head]["count"] < known.parts["skin"].vertices.stop:
         return None

@@ -14,7 +14,7 @@ import { Performance, Timeline } from "./timeline.js";
 
 const $ = (id) => document.getElementById(id);
 const CENTRE = new THREE.Vector3(0, -0.025, -0.03); // metres: the middle of a face and its hair
-const FOV = 24, DISTANCE = 0.86;
+const FOV = 24, DISTANCE = 0.76;
 
 function stop(text) {
   $("cover").classList.remove("gone");
