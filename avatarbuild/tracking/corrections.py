@@ -106,10 +106,10 @@ def stretches(clicked: Iterable[int], times: np.ndarray) -> list[list[int]]:
 
 def steps(frames: list[int], expected: Expected, decode: Decode) -> Iterator[Step]:
     """The flow from each of these frames (rising) to the next that can be decoded, and back."""
-    first, before = -1, np.zeros((0, 0), np.uint8)
+    first, before = -1, None
     for then, _, rgb in decode(frames):
         now = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY)
-        if first >= 0:
+        if before is not None:
             yield _step(first, then, before, now, np.concatenate([expected(i)[:SKIN, :2] for i in (first, then)]))
         first, before = then, now
 

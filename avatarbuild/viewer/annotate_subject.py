@@ -80,12 +80,10 @@ class Subject:
 
 
 def open_subject(project: Project) -> Subject:
-    """
-    Raises InputError where stage capture has not run, or where it found nothing to correct.
-    """
+    """Raises InputError where stage capture has not run, found nothing to correct, or has been damaged since."""
     if project.stamp("capture") is None:
         raise InputError(f"{project.root} has no photos yet: run `avatarbuild run` up to stage capture at least")
-    capture = Capture.load(project.folder("capture"))
+    capture = project.read("capture", Capture)
     template = project.template().load()
     notes = {}
     portrait = footage = None
@@ -127,8 +125,8 @@ def _fitted(project: Project, photos: Views, i: int, template: Template) -> dict
     from avatarbuild.sfm.metric import placed_photos
     from avatarbuild.texture.photos import placed_in_head
 
-    cameras = Cameras.load(project.folder("cameras"))
-    head = Neutral.load(project.folder("neutral"))
+    cameras = project.read("cameras", Cameras)
+    head = project.read("neutral", Neutral)
     if len(head.vertices) != template.vertex_count:
         return {}
     placed = placed_photos(cameras.model, [f"{name}.jpg" for name in photos.names])
@@ -147,7 +145,7 @@ def _footage(project: Project, clip: Clip, template: Template) -> Footage:
     fits, quality = np.full_like(marks, np.nan), np.full(len(marks), np.nan)
     residual = np.full(len(marks), np.nan)
     if project.stamp("tracking") is not None:
-        made = Performance.load(project.folder("tracking"))
+        made = project.read("tracking", Performance)
         if made.video == clip.file and np.array_equal(made.processed, clip.processed[seen]):
             quality[seen] = made.quality[made.processed]
             fits[seen], mm = _tracked(made, template)

@@ -1,6 +1,7 @@
 // A picture with points on it: zoom, pan, loupe, and the dragging of points with mouse, pen or fingers.
 
 const NEAR = { mouse: 13, pen: 18, touch: 26 }; // CSS pixels about a point
+const BUTTONS = 50; // CSS pixels at the top that buttons cover
 const LOUPE = 84; // CSS pixels, its radius
 const STYLE = getComputedStyle(document.documentElement);
 export const COLOURS = Object.fromEntries(
@@ -51,8 +52,8 @@ export class View {
     this.wanted = box;
     if (!this.width) return;
     const [l, t, r, b] = box;
-    this.scale = Math.min(this.width / (r - l), this.height / (b - t));
-    this.origin = [(l + r) / 2 - this.width / 2 / this.scale, (t + b) / 2 - this.height / 2 / this.scale];
+    this.scale = Math.min(this.width / (r - l), (this.height - BUTTONS) / (b - t));
+    this.origin = [(l + r) / 2 - this.width / 2 / this.scale, (t + b) / 2 - (this.height + BUTTONS) / 2 / this.scale];
     this.redraw();
   }
 
