@@ -473,7 +473,7 @@ async function main() {
   step();
 
   // the full albedo when the first picture stands
-  if (about.details !== undefined && renderer.capabilities.maxTextureSize >= 4096) sharpen();
+  if (renderer.capabilities.maxTextureSize >= 4096) sharpen();
   async function sharpen() {
     try {
       const image = await createImageBitmap(await fetched("data/albedo.jpg", "blob"), { colorSpaceConversion: "none" });
@@ -484,8 +484,9 @@ async function main() {
       avatar.setAlbedo(texture, old);
       old.dispose();
       redraw();
-    } catch { /* the smaller one serves */ }
-    document.documentElement.dataset.albedo = "ready";
+    } catch { /* the smaller one serves */ } finally {
+      document.documentElement.dataset.albedo = "ready";
+    }
   }
 
   window.viewer = {
