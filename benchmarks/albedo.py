@@ -6,7 +6,7 @@ python benchmarks/albedo.py PROJECT [sizes] [score] [seams] [photos] [video] [--
 AVATARBUILD_BENCHMARK=FOLDER stands for --truth FOLDER/truth_b --scorer FOLDER/score.py. The project's stages up to
 neutral must have run. Without a word: all rows (score needs --glb). Score and video judge the largest of --sizes or,
 where sizes is not asked for, the texture that the project has; seams and photos, textures of --texels. Six photos are
-left out of the texture for the row of photos, none for the others.
+left out of the texture for the row of photos, none for the others. video needs the project's stages up to refinement.
 """
 
 from __future__ import annotations
@@ -20,13 +20,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import relighting
 from scoring import arguments
 
-from avatarbuild.artefacts import Albedo, Cameras, Capture, Cloud, Neutral, Views
+from avatarbuild.artefacts import Albedo, Cameras, Capture, Cloud, Neutral
 from avatarbuild.formats.images import encode_png
-from avatarbuild.geometry.meshes import vertex_normals
-from avatarbuild.geometry.mipmap import Mipmap, build_mipmap, sample_texture
-from avatarbuild.geometry.raster import Raster, interpolate, project, rasterise
+from avatarbuild.geometry.mipmap import build_mipmap
 from avatarbuild.options import AlbedoOptions
 from avatarbuild.progress import Silent
 from avatarbuild.sfm.metric import placed_photos
@@ -36,10 +35,9 @@ from avatarbuild.texture.borders import border_pairs
 from avatarbuild.texture.chart import seam_ties, texels_per_mm
 from avatarbuild.texture.fusion import chart_at, corrected, fuse
 from avatarbuild.texture.observations import nodes_of
-from avatarbuild.texture.occlusion import of_vertices
-from avatarbuild.texture.photos import Photo, linear_picture, placed_in_head, srgb_picture
+from avatarbuild.texture.photos import Photo, linear_picture, placed_in_head
 
-LEFT_OUT, FRAMES = 6, 10
+LEFT_OUT = 6
 ROWS = ("sizes", "score", "seams", "photos", "video")
 
 
@@ -69,7 +67,7 @@ def main() -> None:
         if "seams" in rows:
             seams(capture, cameras, neutral, made, a.texels)
         if "video" in rows and capture.clip is not None:
-            video(capture, neutral, made, a.pictures)
+            relighting.video(a.project, capture, made, a.truth, a.pictures)
     if "photos" in rows:
         photos(*inputs, a.texels, a.pictures)
 
@@ -237,127 +235,22 @@ def photos(
         "fused, lit": linear_picture(made.fused),
         "albedo under the estimated light": linear_picture(made.albedo) * light,
     }
+    head = relighting.head_of(Template.load(), neutral.vertices)
     print("PSNR on the face in photos left out:")
     for name, texture in textures.items():
         values, levels = [], build_mipmap(texture)
         for photo in out:
-            picture, shown, cosine, _ = rendered(neutral, levels, photo.K, photo.dist, photo.R, photo.t, photo.size)
+            shot = relighting.Shot(photo.K, photo.dist, photo.R, photo.t, photo.size)
+            picture, shown, cosine, _, _ = relighting.rendered(head, levels, shot)
             real = linear_picture(photo.image.rgb())
             use = shown & (cosine > 0.3) & (real.max(axis=2) < 0.95)
             gain = np.median(real[use] / np.maximum(picture[use], 1e-3), axis=0)
-            values.append(psnr(picture * gain, real, use))
+            values.append(relighting.psnr(picture * gain, real, use))
             if pictures is not None:
-                side_by_side(pictures / f"{photo.name}-{name.split()[0].strip(',')}.png", picture * gain, real, shown)
+                relighting.side_by_side(
+                    pictures / f"{photo.name}-{name.split()[0].strip(',')}.png", picture * gain, real, shown
+                )
         print(f"  {name:34s} {np.mean(values):5.1f} dB ({', '.join(f'{v:.1f}' for v in values)})")
-
-
-def video(capture: Capture, neutral: Neutral, made: Albedo, pictures: Path | None) -> None:
-    """
-    PSNR on the face in the video's most neutral frames. The head is placed by landmarks; the light is equation (1)'s,
-    found for each frame and texture alike: harmonics under the head's own occlusion, and those with a field of waves
-    over 25 mm besides.
-    """
-    assert capture.clip is not None
-    template, frames = Template.load(), capture.clip.frames
-    w, h = frames.size[0]
-    marks = template.landmarks(neutral.vertices)
-    rigid = np.flatnonzero(~template.landmark_sliding & (np.abs(marks[:, 1]) < 60))
-    tries = [capture.clip.focal * scale for scale in np.linspace(0.85, 1.2, 15)]
-    focal = min(
-        tries, key=lambda f: float(np.mean([row[0] for row in placed_frames(frames, marks, rigid, f)[:FRAMES]]))
-    )
-    placed = placed_frames(frames, marks, rigid, focal)
-    K = np.array([[focal, 0, w / 2], [0, focal, h / 2], [0, 0, 1]])
-    print("PSNR on the face in video frames, light refitted:")
-    open_, bent = of_vertices(neutral.vertices, template.triangles, template.parts["skin"].vertices)
-    light = np.column_stack([open_, bent])
-    means = {}
-    for name in ("fused", "albedo"):
-        levels = build_mipmap(linear_picture(getattr(made, name)))
-        plain, values = [], []
-        for _, i, R, t in placed[:FRAMES]:
-            picture, shown, cosine, around = rendered(neutral, levels, K, np.zeros(5), R, t, (w, h), light)
-            real = linear_picture(frames.images[i].rgb())
-            use = shown & (cosine > 0.3)
-            normal = around[use][:, 1:] / np.linalg.norm(around[use][:, 1:], axis=1, keepdims=True)
-            phi = harmonics(normal) * around[use][:, :1]
-            lit = np.zeros_like(picture)
-            for c in range(3):
-                A = phi * picture[use][:, c : c + 1]
-                lit[use, c] = A @ np.linalg.lstsq(A, real[use][:, c], rcond=None)[0]
-            plain.append(psnr(lit, real, use))
-            sigma = 25 / (2 * np.pi) * K[0, 0] / t[2]
-            inside = use[..., None].astype(np.float32)
-            power = cv2.GaussianBlur(picture * picture * inside, (0, 0), sigma)
-            field = cv2.GaussianBlur((real - lit) * picture * inside, (0, 0), sigma)
-            field /= power + 0.05 * power[use].mean(axis=0)
-            lit = lit + field * picture
-            values.append(psnr(lit, real, use))
-            if pictures is not None:
-                side_by_side(pictures / f"frame{frames.names[i]}-{name}.png", lit, real, use)
-        means[name] = float(np.mean(values))
-        print(f"  {name:8s} harmonics {np.mean(plain):5.1f} dB, with the field {means[name]:5.1f} dB")
-        print(f"    {', '.join(f'{v:.1f}' for v in values)}")
-    print(f"  the albedo is better by {means['albedo'] - means['fused']:.1f} dB")
-
-
-def placed_frames(frames: Views, marks: np.ndarray, rigid: np.ndarray, focal: float) -> list[tuple]:
-    """(median pixels off, frame, R, t) of every frame with a face, the best first."""
-    w, h = frames.size[0]
-    K = np.array([[focal, 0, w / 2], [0, focal, h / 2], [0, 0, 1]])
-    placed = []
-    for i in np.flatnonzero(frames.presence > 0.9):
-        found, turn, shift = cv2.solvePnP(marks[rigid], frames.landmarks[i, rigid, :2].astype(float), K, None)
-        if found:
-            off = cv2.projectPoints(marks, turn, shift, K, None)[0][:, 0] - frames.landmarks[i, :, :2]
-            miss = float(np.median(np.linalg.norm(off, axis=1)))
-            placed.append((miss, int(i), cv2.Rodrigues(turn)[0], shift[:, 0]))
-    return sorted(placed, key=lambda row: row[0])
-
-
-def harmonics(n: np.ndarray) -> np.ndarray:
-    """(p, 9) phi(n) of equation (2)."""
-    x, y, z = n.T
-    return np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x - y * y, 3 * z * z - 1], axis=1)
-
-
-def rendered(
-    neutral: Neutral,
-    levels: Mipmap,
-    K: np.ndarray,
-    dist: np.ndarray,
-    R: np.ndarray,
-    t: np.ndarray,
-    size: tuple[int, int],
-    more: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The head in a texture: picture (h, w, 3) linear, face (h, w) without eyes and mouth, cosine, `more` (n, c)."""
-    template = Template.load()
-    pixels, depth = project(neutral.vertices, K, dist, R, t)
-    raster: Raster = rasterise(pixels, depth, template.triangles, size)
-    picture = sample_texture(levels, raster, pixels, depth, template.triangles, template.uv, template.uv_triangles)
-    normals = vertex_normals(neutral.vertices, template.triangles)
-    towards = -R.T @ t - neutral.vertices
-    cosine = np.einsum("ij,ij->i", normals, towards) / np.linalg.norm(towards, axis=1)
-    inside = template.regions["face"] & ~template.regions["sockets"] & ~template.regions["mouth"]
-    columns = np.column_stack([inside, cosine, normals if more is None else more])
-    smooth = interpolate(columns, template.triangles, raster.triangle, raster.barycentric)
-    face = smooth[..., 0] > 0.99
-    face &= raster.triangle < template.parts["skin"].triangles.stop
-    return picture, face & (raster.triangle >= 0), smooth[..., 1], smooth[..., 2:]
-
-
-def psnr(a: np.ndarray, b: np.ndarray, use: np.ndarray) -> float:
-    """dB between two linear pictures, as sRGB in 0..255, over use (h, w)."""
-    one, two = (srgb_picture(x)[use].astype(float) for x in (a, b))
-    return float(10 * np.log10(255**2 / np.mean((one - two) ** 2)))
-
-
-def side_by_side(path: Path, made: np.ndarray, real: np.ndarray, shown: np.ndarray) -> None:
-    """The rendering on the photo, and the photo, half the size."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    both = np.hstack([srgb_picture(np.where(shown[..., None], made, real)), srgb_picture(real)])
-    path.write_bytes(encode_png(cv2.resize(both, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)))
 
 
 if __name__ == "__main__":

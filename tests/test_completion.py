@@ -51,6 +51,18 @@ def test_seen_texels_are_untouched() -> None:
     assert np.array_equal(s.whole[deep], s.albedo[deep])
 
 
+def test_lids_are_the_photos_up_to_the_rim() -> None:
+    s = scene()
+    lids, sockets = (
+        s.chart.field(s.template.regions[name].astype(np.float32), s.template.triangles) for name in ("lids", "sockets")
+    )
+    from_rim = cv2.distanceTransform((sockets < 0.5).astype(np.uint8), cv2.DIST_L2, 5)
+    at = (lids > 0.99) & (s.seen > 0) & (s.x < 0) & (from_rim > 2) & (sockets == 0)
+    assert at.sum() > 50
+    assert np.abs(s.whole[at] - s.albedo[at]).max() < 1e-6
+    assert not np.array_equal(s.whole[sockets > 0.9], s.albedo[sockets > 0.9])
+
+
 def test_nothing_is_left_empty() -> None:
     s = scene()
     assert (s.whole.max(axis=-1) > 0.0025).all()  # a pupil is 0.003

@@ -313,6 +313,17 @@ def test_a_speck_at_the_rim_is_a_collars_and_elsewhere_a_mole() -> None:
     assert skin[specks[1]] > 0.9
 
 
+def test_a_crease_that_photos_do_not_show_is_no_light() -> None:
+    lit = np.ones((80, 120, 3), np.float32)
+    lit[:, 28:33] = lit[:, 88:93] = 0.4
+    matt = 0.5 * np.ones_like(lit)
+    matt[:, 28:33] *= 0.4
+    told = illumination._as_seen(lit, matt, np.ones((80, 120)), 3.0)
+    assert abs(told[40, 30, 0] - 0.4) < 0.03
+    assert told[40, 90, 0] > 0.7
+    assert np.abs(told[:, 55:65] - 1).max() < 0.03
+
+
 def test_nothing_seen_is_even_light() -> None:
     fused = fused_under(LIGHT, skin_tone.tones()[50])
     none = replace(fused, seen=np.zeros_like(fused.seen), colour=np.zeros_like(fused.colour))

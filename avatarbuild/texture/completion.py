@@ -20,11 +20,13 @@ import scipy.sparse as sp
 
 from avatarbuild.solvers.sparse import Factor
 from avatarbuild.template import Template
-from avatarbuild.texture.chart import continued, draw_chart, seam_ties, texels_per_mm
+from avatarbuild.texture.chart import Chart, continued, draw_chart, seam_ties, texels_per_mm
 
 _COARSE = 256  # texels of u's grid
 _SEEN_LOW, _SEEN_HIGH = 0.25, 0.5  # of `seen`: nothing below, all above
 _SOFT = 5.0  # mm over which what was seen passes into what was not, inside what was seen
+_SOFT_LIDS, _SOFT_LIPS = 0.8, 3.0  # mm there: lashes and the lips' red end at the rim of eye and mouth
+_RIM = 0.4  # mm over which lids and lips pass into sockets and mouth
 _REACH = 90.0  # mm beyond which the colour goes back to the person's typical one
 _HELD = 30.0  # weight of a texel of u's grid that was seen
 _STRANGE = 0.003  # of that weight have brows, lids and lips
@@ -55,7 +57,7 @@ def complete(
     hidden = chart.field(
         (template.regions["mouth"] | template.regions["sockets"]).astype(np.float32), template.triangles
     )
-    weight = _weight(seen * skin * (hidden < 0.5), skin, scale)
+    weight = _weight(seen * skin, skin, hidden > 0.5, _soft(template, chart), scale)
     out = skin_texture.astype(np.float32, copy=True)
     if (weight > 0.5).any():
         u = _offset(albedo, weight, skin, skin_texture, template, scale)
@@ -74,16 +76,29 @@ def complete(
     return continued(np.clip(out, 0.0, 1.0), chart.part > 0, round(max(8, size / 128)))
 
 
-def _weight(seen: np.ndarray, skin: np.ndarray, scale: float) -> np.ndarray:
-    """w (s, s) float32: 1 well inside what was seen, falling to 0 within _SOFT mm of what was not."""
+def _soft(template: Template, chart: Chart) -> np.ndarray:
+    """(s, s) float32 mm over which what was seen passes into what was not."""
+    length = np.full(len(template.mean), _SOFT)
+    length[template.regions["lips"]] = _SOFT_LIPS
+    length[template.regions["lids"]] = _SOFT_LIDS
+    return np.maximum(chart.field(length, template.triangles), _SOFT_LIDS)
+
+
+def _weight(seen: np.ndarray, skin: np.ndarray, hidden: np.ndarray, soft: np.ndarray, scale: float) -> np.ndarray:
+    """
+    w (s, s) float32: 1 well inside what was seen, falling to 0 within `soft` (s, s) mm of what was not; 0 in mouth and
+    sockets, `hidden` (s, s), whose rims are no borders of what was seen: lids and lips go on up to them.
+    """
     good = (seen > (_SEEN_LOW + _SEEN_HIGH) / 2).astype(np.uint8)
     # a gap of a few texels on the chart's rim is the rim's own
-    good = np.maximum(good, (~skin).astype(np.uint8))
+    good = np.maximum(good, (~skin | hidden).astype(np.uint8))
     inside = cv2.distanceTransform(good, cv2.DIST_L2, 5) / scale
-    t = np.clip((inside - 0.5) / _SOFT, 0, 1)
-    soft = t * t * (3 - 2 * t)
+    t = np.clip((inside - np.minimum(0.5, 0.25 * soft)) / soft, 0, 1)
+    fade = t * t * (3 - 2 * t)
     sure = np.clip((seen - _SEEN_LOW) / (_SEEN_HIGH - _SEEN_LOW), 0, 1)
-    return np.where(skin, np.minimum(soft, np.maximum(sure, t > 0.999)), 0).astype(np.float32)
+    from_rim = cv2.distanceTransform((~hidden).astype(np.uint8), cv2.DIST_L2, 5) / scale
+    weight = np.minimum(np.minimum(fade, np.maximum(sure, t > 0.999)), np.clip(from_rim / _RIM, 0, 1))
+    return np.where(skin & ~hidden, weight, 0).astype(np.float32)
 
 
 def _offset(

@@ -34,6 +34,8 @@ _DIM = 0.3  # of the mean light: below this, errors count absolutely again
 _TINY = 1e-6
 _BESIDE = (36.0, 42.0, 48.0)  # degrees from the gaze: where the white shows beside the iris
 _COLLAR = 6.0  # mm from what no photo saw, within which a speck on neck, scalp or ears is no mole
+_FINE, _AROUND = 3.0, 5.0  # mm: blurs of what is fine in the light, and of where it is judged together
+_SURE = 0.1  # log: fine light weaker than this is believed whatever the photos show
 _BEST = 3  # places of a white, the best-lit ones, that are compared with its bright pixels
 
 
@@ -143,6 +145,7 @@ def factor(
         lit = _shading_map(template, chart, a, bent, y)
         # nine numbers undershoot where little light arrives; no place of a room is black
         lit = np.maximum(lit, _LEAST * lit[own > 0].mean(axis=0) if (own > 0).any() else _TINY)
+    lit = _as_seen(lit, matt, seen, texels_per_mm(template, neutral.vertices, grid))
     # on the face itself a strange colour is more often strange light, which the field is there for
     face = chart.field(template.regions["face"].astype(np.float32), template.triangles)
     plain = np.maximum(own, _DOUBTFUL * plain * (face > 0.5))
@@ -409,6 +412,29 @@ def _field(
         (o.field_small, 0.0, smooth_field.cut_off(o.field_length * texels)),
     )
     return np.stack([smooth_field.solve(e[..., c], m, weights) for c in range(3)], axis=-1)
+
+
+def _as_seen(lit: np.ndarray, matt: np.ndarray, seen: np.ndarray, scale: float) -> np.ndarray:
+    """
+    (g, g, 3): the light, its fine part f (finer than _FINE mm, in logarithms) as strong as the photos show it:
+
+        k = argmin sum w (c - k f)^2 + _SURE^2 (k - 1)^2   in windows of _AROUND mm, 0 <= k <= 1,
+
+    c the fine part of the colours (g, g, 3). Creases of the head's mesh that lie a millimetre beside the person's, or
+    that the person lacks, would else turn into bright lines.
+    """
+    weight = (seen > 0).astype(np.float32)
+
+    def around(image: np.ndarray, sigma: float) -> np.ndarray:
+        area = np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma * scale), 1e-3)
+        return cv2.GaussianBlur(image.astype(np.float32) * weight, (0, 0), sigma * scale) / area
+
+    f, c = (
+        np.where(weight > 0, log - around(log, _FINE), 0)
+        for log in (np.log(np.maximum(image.mean(axis=-1), 1e-3)) for image in (lit, matt))
+    )
+    k = (around(f * c, _AROUND) + _SURE**2) / (around(f * f, _AROUND) + _SURE**2)
+    return lit * np.exp((np.clip(k, 0, 1) - 1) * f)[..., None]
 
 
 def _at_least(lit: np.ndarray, matt: np.ndarray, seen: np.ndarray, r: np.ndarray, limit: float) -> np.ndarray:
