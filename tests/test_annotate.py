@@ -26,22 +26,29 @@ from avatarbuild.artefacts import Cameras, Capture, Clip, Files, Neutral, Perfor
 from avatarbuild.formats import video
 from avatarbuild.formats.corrections import Corrections, corrections_bytes
 from avatarbuild.formats.images import decode_jpeg, encode_jpeg
+from avatarbuild.geometry import meshes
 from avatarbuild.geometry.mipmap import build_mipmap, sample_texture
 from avatarbuild.geometry.raster import rasterise
 from avatarbuild.landmarks import IRIS_RIGHT
 from avatarbuild.progress import Silent
 from avatarbuild.project import Project
+from avatarbuild.registration import shell
+from avatarbuild.registration.counterparts import Target
 from avatarbuild.registration.drawn import RIMS, as_drawn, at_shares, middle
 from avatarbuild.registration.pins import LIP_BORDERS, SEAM, pins
+from avatarbuild.registration.shell import Stiffness
 from avatarbuild.registration.sightings import sightings
+from avatarbuild.rigging import limits_of
 from avatarbuild.sfm.metric import placed_photos
 from avatarbuild.simulation.photographs import look_at
+from avatarbuild.stages import neutral
 from avatarbuild.template_files import resolve
+from avatarbuild.tracking import fit
 from avatarbuild.tracking.corrections import propagated
 from avatarbuild.tracking.full_rate import Sightings
 from avatarbuild.tracking.lens import Lens
-from avatarbuild.tracking.markers import Markers
-from avatarbuild.tracking.rig import Places
+from avatarbuild.tracking.markers import Clicks, Markers
+from avatarbuild.tracking.rig import Places, Rig
 from avatarbuild.tracking.subject import kept_frame, score_level
 from avatarbuild.viewer import annotate, annotate_subject, server
 from tests import devtools
@@ -115,7 +122,8 @@ def capture_of(photos: bool = True, film: bool = True) -> Capture:
         taken = replace(taken, presence=np.full(5, np.nan), landmarks=np.full((5, 478, 3), np.nan))
     seen = [lowered(drawn_head.marks(i)) if i in LOW else drawn_head.marks(i) for i in KEPT]
     frames = views([f"{i:06d}" for i in KEPT], seen, [frame_pictures()[i] for i in KEPT])
-    frames = replace(frames, presence=np.array([0.99, 0.97, 0.9, 0.98, 1.0]))
+    frames.landmarks[-1] = np.nan  # no face was found in the last one
+    frames = replace(frames, presence=np.array([0.99, 0.97, 0.9, 0.98, np.nan]))
     times = np.arange(drawn_head.COUNT) / drawn_head.FPS
     clip = Clip("film.mp4", drawn_head.SIZE, drawn_head.FPS, times, 330.0, np.array(KEPT), frames) if film else None
     return Capture(taken, clip, FRONTAL if photos else -1, np.ones(len(YAWS), bool), photos)
@@ -145,7 +153,7 @@ def neutral_of() -> Neutral:
 def tracking_of() -> Performance:
     true = [drawn_head.true(i) for i in range(drawn_head.COUNT)]
     quality = np.full(drawn_head.COUNT, 0.8)
-    quality[KEPT] = (0.9, 0.8, 0.3, 0.95, 1.0)
+    quality[KEPT] = (0.9, 0.8, 0.3, 0.95, 0.0)
     return replace(
         nothing(drawn_head.shapes()),
         video="film.mp4",
@@ -158,8 +166,8 @@ def tracking_of() -> Performance:
         translation=np.array([t for _, _, t in true]),
         quality=quality,
         gaze=np.zeros((drawn_head.COUNT, 2, 2)),
-        processed=np.array(KEPT),
-        modelled=np.ones(len(KEPT), bool),
+        processed=np.array(KEPT[:-1]),
+        modelled=np.ones(len(KEPT) - 1, bool),
     )
 
 
@@ -217,7 +225,7 @@ def test_what_the_page_shows_lies_where_it_is(project: Project) -> None:
     film = subject.footage
     assert film is not None
     true = np.array([drawn_head.marks(i)[t.landmarks68, :2] for i in KEPT])
-    np.testing.assert_allclose(film.fits, true, atol=0.02)
+    np.testing.assert_allclose(film.fits[:-1], true[:-1], atol=0.02)
     assert film.clip.processed[np.argsort(film.worth)].tolist() == [5, 3, 0, 8, 11]
     told = annotate_subject.described(subject)["video"]["frames"][0]
     np.testing.assert_allclose(told["points"], true[0] - 0.5, atol=0.011)  # sent with the first pixel's centre at 0
@@ -307,8 +315,7 @@ def test_a_dragged_contour_changes_the_next_run(driver: Driver, project: Project
     np.testing.assert_allclose(told.photo["IMG_0002"]["lipsOuterLower"], before - (0, OFF), atol=0.3)
     assert stale(project)(told) == pipeline.NAMES[pipeline.NAMES.index("neutral") :]
     assert ran(project, told) == pipeline.NAMES[pipeline.NAMES.index("neutral") :]
-    lips_err = lips(told)
-    assert lips_err < 0.25 * lips(Corrections())
+    assert lips(told) < 0.4 * lips(Corrections())
     driver.quiet()
 
 
@@ -318,7 +325,7 @@ def capture_of_marks() -> np.ndarray:
 
 
 def lips(told: Corrections) -> float:
-    """mm: how far stage neutral wants the lips' border from where it is."""
+    """mm: how far the lips' border of the registered skin lies above or below where it is."""
     t = drawn_head.template()
     marks = np.array([lowered(photo_marks(yaw)) for yaw in YAWS])
     photos = capture_of().photos
@@ -326,11 +333,15 @@ def lips(told: Corrections) -> float:
     seen = sightings(placed, marks, photos.pose, np.ones(len(YAWS), bool))
     seen, warnings = as_drawn(seen, placed, photos, told.photo)
     assert warnings == []
-    held = pins(t, seen, t.mean, 6.0, 0.3, 1.0, 4.0)
-    lines = np.concatenate([t.contours[name] for name in LIP_BORDERS])
-    rows = np.unique(held.rows[:, lines].tocoo().row)
-    off = np.asarray(held.rows @ t.mean[: t.parts["skin"].vertices.stop]) - held.places
-    return float(np.median(np.abs(off[rows, 1])))
+    skin = t.mean[t.parts["skin"].vertices]
+    triangles = t.triangles[t.parts["skin"].triangles]
+    cloud = Target.of(skin, meshes.vertex_normals(skin, triangles), np.ones(len(skin)))
+    o = options.NeutralOptions()
+    held = pins(t, seen, t.mean, o.landmark_sd, o.rim_sd, o.lip_border_sd, o.slide_sd)
+    schedule = [Stiffness(10, 1e3, 4, 1), Stiffness(o.stretching, o.bending, 2, 1)]
+    found, _ = shell.register(skin, triangles, cloud, neutral.listening(t)[: len(skin)], held, schedule, lambda: None)
+    border = np.concatenate([t.contours[name] for name in LIP_BORDERS])
+    return float(np.abs(found - skin)[border, 1].mean())
 
 
 def ran(project: Project, told: Corrections) -> list[str]:
@@ -380,7 +391,7 @@ def test_a_dragged_marker_is_carried_saved_and_used(driver: Driver, project: Pro
     capture = capture_of()
     assert capture.clip is not None
     clip = capture.clip
-    looked = Sightings(clip.processed, clip.frames.landmarks)
+    looked = Sightings(clip.processed[:-1], clip.frames.landmarks[:-1])
     film = project.root.parent / "film" / "film.mp4"
     clicks = propagated(
         told.video, t.landmarks68, clip.times, looked.expected, lambda frames: video.decode_frames(film, frames)
@@ -391,19 +402,28 @@ def test_a_dragged_marker_is_carried_saved_and_used(driver: Driver, project: Pro
             np.array([shown[str(k)][:2] for k in range(48, 68)]) + 0.5, clicks[frame].pixels, atol=0.02
         )
         assert np.linalg.norm(clicks[frame].pixels - true_mouth(frame), axis=1).mean() < 0.25 * OFF
-    # and it puts the tracker's inputs right, in the frames beside it as well
+    right = replace(clip, frames=replace(clip.frames, landmarks=np.array([drawn_head.marks(i) for i in KEPT])))
+    for row in (1, 2, 3):  # frames 3 and 8 have no points of their own
+        sound, hurt = (mouth_error(one, row, {}) for one in (right, clip))
+        assert mouth_error(clip, row, clicks) - sound < 0.5 * (hurt - sound)
+    driver.quiet()
+
+
+def mouth_error(clip: Clip, row: int, clicks: dict[int, Clicks]) -> float:
+    """mm across the line of sight: the lips of a processed frame, fitted to its points."""
+    t, number = drawn_head.template(), KEPT[row]
     places = Places(t.landmark_triangles[:468], t.landmark_barycentric[:468])
     m = Markers(places, np.zeros((468, 3)), np.ones(468), t.landmark_sliding[:468])
-    level = score_level(np.zeros((1, 51)), np.zeros((1, 51)))
-    for row in (1, 2, 3):
-        number = KEPT[row]
-        errors = []
-        for some in ({}, clicks):
-            made = kept_frame(clip, level, m, some, row, frame_pictures()[number])
-            errors.append(np.abs(made.marks[MOUTH, 1] - drawn_head.marks(number)[MOUTH, 1]).mean())
-        assert errors[0] == pytest.approx(OFF)
-        assert errors[1] < 0.35 * OFF
-    driver.quiet()
+    rig = Rig(t.mean, t.expressions[:51], t.triangles)
+    limits = tuple(limits_of(t).items())
+    face = fit.face_of(rig, drawn_head.LENS, m, [], t.triangles[t.parts["skin"].triangles], limits)
+    here = kept_frame(clip, score_level(*np.zeros((2, 1, 51))), m, clicks, row, frame_pictures()[number])
+    _, R, shift = drawn_head.true(number)
+    w = fit.Weights()
+    pinned = fit.detected(face, here, w)
+    found = fit.fit_points(face, here, pinned, fit.State(R, shift, np.zeros(51)), w, rigid=6, steps=15)
+    off = rig.posed(found.weights) @ found.R.T + found.t - drawn_head.camera(number)
+    return float(np.linalg.norm(off[t.regions["lips"], :2], axis=1).mean())
 
 
 def true_mouth(frame: int) -> np.ndarray:
@@ -441,6 +461,12 @@ def test_undo_nudge_review_and_keys(driver: Driver, project: Project) -> None:
     driver.saved()
     assert on_disk(project).video == {}
     assert stale(project)(on_disk(project)) == []
+    driver.key("PageDown")
+    driver.key("PageDown")
+    driver.key("PageDown")
+    assert driver.tell("annotate.mode.frame") == 11
+    assert driver.tell("annotate.mode.handles().length") == 0
+    assert "found no face" in driver.tell("document.querySelector('#facts').textContent")
     scale = driver.tell("annotate.view.scale")
     driver.key("+")
     assert driver.tell("annotate.view.scale") == pytest.approx(1.25 * scale)
@@ -527,6 +553,16 @@ def test_one_line_where_there_is_nothing_to_correct(
     nobody.corrections_file.write_text("{")
     assert call(monkeypatch, "annotate", nobody.root, "--no-browser") == 2
     assert "corrections.json is not valid JSON" in one_line(capsys)
+
+
+def test_the_verb_serves_the_page(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    served: list[Any] = []
+    monkeypatch.setattr(server, "serve", lambda app, port, **more: served.append((app, port, more["open_browser"])))
+    assert call(monkeypatch, "annotate", whole, "--no-browser", "--port", 8000) == 0
+    [(app, port, opens)] = served
+    assert (port, opens) == (8000, False)
+    with server.serving(app) as address:
+        assert json.loads(ask(address, "GET", "/state")[1])["stale"] == []
 
 
 # the server
