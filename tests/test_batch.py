@@ -373,6 +373,14 @@ def apart(tmp_path: Path) -> Iterator[Cluster]:
         yield made
 
 
+def listening(cluster: Cluster) -> None:
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline:
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", cluster.port), timeout=1):
+            return
+        time.sleep(0.1)
+
+
 def test_worker_killed_scheduler_restarted_disk_full(tmp_path: Path, apart: Cluster) -> None:
     distributed = pytest.importorskip("distributed")
     folder = made_up(tmp_path / "in", **{f"s{number}": "sleep 1.5" for number in range(5)})
@@ -446,3 +454,79 @@ def test_board_reads_where_a_run_is(tmp_path: Path) -> None:
     assert "me: cameras" in text
     assert "no [photos]" in text
     assert "me" in "".join(str(cell) for cell in board._table().columns[0].cells)
+
+
+# ---- the long proof
+
+
+@pytest.fixture(scope="module")
+def eight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eight small rendered captures with a video."""
+    folder = tmp_path_factory.mktemp("eight")
+    size = {"photos": 12, "photo_width": 300, "video_seconds": 2.0, "video_width": 270, "texture": 512}
+    words = [word for name, value in size.items() for word in ("--set", f"{name}={value}")]
+    for seed in range(1, 9):
+        place = folder / "captures" / f"seed{seed}"
+        place.parent.mkdir(exist_ok=True)
+        command = [sys.executable, str(ROOT / "cli.py"), "simulate", "-o", str(place), "--seed", str(seed)]
+        command += ["--truth", str(folder / f"truth{seed}"), *words]
+        assert subprocess.run(command, capture_output=True).returncode == 0
+    return folder / "captures"
+
+
+DRAFT = ["--quality", "draft", "--set", "points.min_views=2"]
+
+
+def all_there(made: list[summary.Row], output: Path) -> None:
+    assert {row.state for row in made} == {"done"}, {row.subject: row.message for row in made}
+    assert len(made) == 8
+    for row in made:
+        project = output / f"{row.subject}.avatar"
+        assert (project / "avatar" / "avatar.glb").is_file()
+        log = (project / "avatarbuild.log").read_text()
+        for stage in ("capture", "points", "tracking", "details", "avatar"):
+            assert log.count(f"INFO avatarbuild.pipeline: stage {stage}: ") == 1  # finished once
+    assert not list((output / ".claims").iterdir())
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(10800)
+def test_eight_captures_on_a_local_cluster(tmp_path: Path, eight: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, local_directory=str(tmp_path), memory_limit=None
+    ) as local:
+        means = Means(scheduler=local.scheduler_address, threads=1)
+        all_there(run_batch(eight, tmp_path / "out", DRAFT, None, means, quiet()), tmp_path / "out")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(10800)
+def test_eight_captures_on_workers_apart_with_faults(tmp_path: Path, eight: Path) -> None:
+    """A worker is killed and another comes, the scheduler is restarted: nothing lost, nothing twice."""
+    pytest.importorskip("distributed")
+    made: list[summary.Row] = []
+    with Cluster(tmp_path) as apart:
+        for name in ("scheduler", "one", "two"):
+            apart.start(name)
+        listening(apart)
+        means = Means(scheduler=apart.address, threads=1)
+        batch = threading.Thread(
+            target=lambda: made.extend(run_batch(eight, tmp_path / "out", DRAFT, None, means, quiet()))
+        )
+        batch.start()
+        for stage, doomed, risen in (
+            ("points", ["one"], ["three"]),
+            ("tracking", ["scheduler"], ["scheduler", "four"]),
+        ):
+            while batch.is_alive() and not any(
+                f"stage {stage} begins" in log.read_text()
+                for log in (tmp_path / "out").glob("*.avatar/avatarbuild.log")
+            ):
+                time.sleep(1)
+            for name in doomed:
+                apart.kill(name)
+            for name in risen:
+                apart.start(name)
+        batch.join()
+    all_there(made, tmp_path / "out")
