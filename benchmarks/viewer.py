@@ -78,8 +78,8 @@ def main() -> None:
 
 
 _SOURCE = """(() => {
-    const gl = viewer.renderer.getContext(), debug = gl.getExtension('WEBGL_debug_shaders');
-    const program = viewer.renderer.properties.get(viewer.surface.skin).currentProgram;
+    const gl = viewer.stage.renderer.getContext(), debug = gl.getExtension('WEBGL_debug_shaders');
+    const program = viewer.stage.renderer.properties.get(viewer.surface.skin).currentProgram;
     const of = (shader) => debug.getTranslatedShaderSource(shader);
     return { vertex: of(program.vertexShader), fragment: of(program.fragmentShader) };
 })()"""

@@ -158,7 +158,7 @@ def test_light_comes_from_where_it_is_put(page):
         page.evaluate(f"document.getElementById('key').value = 2; viewer.light.set([{x}, 0, 0.3])")
         middle = _drawn(page)[:, :, 1].astype(float)
         shown.append(middle[90:200, 85:135].mean() - middle[90:200, 165:215].mean())
-    page.evaluate("viewer.toggles.set('albedo', true); viewer.useEnvironment('studio')")
+    page.evaluate("viewer.toggles.set('albedo', true); viewer.light.use('studio')")
     assert shown[0] > 20  # lit from the left of the picture
     assert shown[1] < -20
 
@@ -187,8 +187,8 @@ def test_the_video_stands_beside_it(page, project):
     page.evaluate(f"viewer.timeline.seek({frame['time']})")
     seen = page.evaluate("""(() => {
         const p = new viewer.THREE.Vector3(0.02, -0.03, 0.04).applyMatrix4(viewer.avatar.head.matrixWorld);
-        viewer.camera.updateMatrixWorld();
-        return p.applyMatrix4(viewer.camera.matrixWorldInverse).toArray();
+        viewer.stage.camera.updateMatrixWorld();
+        return p.applyMatrix4(viewer.stage.camera.matrixWorldInverse).toArray();
     })()""")
     known = np.array(frame["pose"]) @ [0.02, -0.03, 0.04, 1]
     assert np.allclose(np.array(seen) * [1, -1, -1], known[:3], atol=2e-5)
@@ -260,7 +260,7 @@ def test_normals_agree_with_python(page, project):
     page.evaluate("viewer.toggles.set('normals', true)")
     distance, height = VIEW.distance * 1e-3, VIEW.height * 1e-3
     page.evaluate(f"""(() => {{
-        const v = viewer, c = {json.dumps([x * 1e-3 for x in VIEW.centre])};
+        const v = viewer.stage, c = {json.dumps([x * 1e-3 for x in VIEW.centre])};
         v.frame();
         v.camera.position.set(c[0], c[1], c[2] + {distance}); v.controls.target.set(...c); v.controls.update();
         v.camera.fov = 2 * Math.atan({height} / 2 / {distance}) * 180 / Math.PI; v.camera.updateProjectionMatrix();
@@ -275,7 +275,7 @@ def test_normals_agree_with_python(page, project):
             _keep(cv2.imencode(".png", both[..., ::-1])[1].tobytes(), "normals")
         inner = cv2.erode(skin.astype(np.uint8), np.ones((5, 5))) > 0
         apart.append(np.abs(drawn - mine)[inner].mean())
-    page.evaluate("viewer.toggles.set('normals', false); viewer.frame()")
+    page.evaluate("viewer.toggles.set('normals', false); viewer.stage.frame()")
     assert min(apart) > 0
     assert max(apart) < 2, apart
 
@@ -388,7 +388,7 @@ def _set(page: devtools.Page, named: dict[str, float]) -> None:
 
 def _drawn(page: devtools.Page) -> np.ndarray:
     """(h, w, 3) uint8 of the canvas, its own size, drawn now."""
-    url = page.evaluate("(viewer.draw(true), document.getElementById('canvas').toDataURL('image/png'))")
+    url = page.evaluate("(viewer.stage.draw(true), document.getElementById('canvas').toDataURL('image/png'))")
     return _decoded(base64.b64decode(url.partition(",")[2]))
 
 

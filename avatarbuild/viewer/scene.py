@@ -33,9 +33,9 @@ log = logging.getLogger(__name__)
 
 SCENE_VERSION = 1
 PAGE = (
-    *("index.html", "viewer.css", "main.js", "avatar.js", "details.js", "environment.js", "light.js", "live.js"),
-    *("panel.js", "record.js", "shapes.js", "surface.js", "timeline.js", "surface.vert.glsl", "surface.frag.glsl"),
-    "LICENSE-three.js.txt",
+    *("index.html", "viewer.css", "main.js", "stage.js", "avatar.js", "surface.js", "details.js", "environment.js"),
+    *("light.js", "panel.js", "keys.js", "timeline.js", "shapes.js", "record.js", "live.js"),
+    *("surface.vert.glsl", "surface.frag.glsl", "LICENSE-three.js.txt"),
 )
 _SYNTHESIS = Path(__file__).parents[1] / "details" / "synthesis.glsl"
 _SIDE, _QUALITY = 2048, 90  # texels and JPEG quality of the albedo that the page starts with

@@ -1,6 +1,8 @@
-// The light's direction on a ball: a small canvas to drag on. Direction is in the viewer's axes: x right, y up, z near.
+// The light: its direction, on a ball to drag on, and its surroundings. Directions: x right, y up, z near.
+import { THREE } from "./three.js";
+import { ENVIRONMENTS, harmonics, ofPhotos } from "./environment.js";
 
-export function lightPad(canvas, changed) {
+function lightPad(canvas, changed) {
   const context = canvas.getContext("2d");
   const direction = [-0.5, 0.5, 0.7];
 
@@ -56,4 +58,35 @@ export function lightPad(canvas, changed) {
   });
   draw();
   return { set, get direction() { return direction; } };
+}
+
+// The fields of the section Light, tied to the surface. photos: (9, 3) light of the photos, or null.
+export function lighting(place, surface, stage, photos) {
+  const environments = { ...(photos ? { photos: ofPhotos(photos) } : {}), ...ENVIRONMENTS };
+  const { environment, turn, ambient, key } = place;
+  for (const [name, { title }] of Object.entries(environments)) environment.add(new Option(title, name));
+  const pad = lightPad(place.pad, () => relight());
+
+  function relight() {
+    for (const input of [turn, ambient, key])
+      input.style.setProperty("--at", `${100 * (input.value - input.min) / (input.max - input.min)}%`);
+    const chosen = environments[environment.value];
+    chosen.harmonics ??= harmonics(chosen);
+    surface.setSurroundings(chosen, chosen.harmonics, Number(ambient.value));
+    surface.turnSurroundings(THREE.MathUtils.degToRad(Number(turn.value)));
+    const light = new THREE.Vector3(...(chosen.key.colour ?? [1, 1, 1])).multiplyScalar(Number(key.value));
+    surface.setKey(new THREE.Vector3(...pad.direction), light, stage.avatar.head.position.clone().add(stage.centre));
+    surface.key.castShadow = light.length() > 0;
+    stage.redraw(true);
+  }
+
+  function use(name) {
+    environment.value = name;
+    key.value = environments[name].key.light;
+    pad.set(environments[name].key.direction, false);
+    relight();
+  }
+  environment.addEventListener("change", () => use(environment.value));
+  for (const input of [turn, ambient, key]) input.addEventListener("input", relight);
+  return { use, relight, set: pad.set };
 }

@@ -151,7 +151,7 @@ void main() {
     vec3 from_centre = head_axes * normalize(seenAt - eye_centre);
     // lids and sockets stand before the ball: less light at its corners and under the upper lid
     float side = from_centre.x, up = from_centre.y;
-    open = show_occlusion ? mix(0.22, 0.92, smoothstep(1.0, 0.3, length(vec2(side, up * 1.6 - 0.22)))) : 1.0;
+    open = show_occlusion ? mix(0.36, 0.95, smoothstep(1.0, 0.3, length(vec2(side, up * 1.6 - 0.22)))) : 1.0;
     colour *= vec3(0.86, 0.84, 0.82);  // the ball's white is not paper
     #endif
 
