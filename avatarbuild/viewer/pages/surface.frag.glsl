@@ -17,12 +17,13 @@
 
 #define LOBES 6
 
-varying vec3 seenAt, localAt, facing;
+// at the centroid: a sliver of a triangle would continue its normals far beyond its corners
+centroid varying vec3 seenAt, localAt, facing;
 varying vec2 place;
 #ifdef SKIN
-varying vec4 along, kind;
+centroid varying vec4 along, kind;
 #ifdef KEYFRAMES
-varying float apart[KEYFRAMES];
+centroid varying float apart[KEYFRAMES];
 #endif
 #endif
 

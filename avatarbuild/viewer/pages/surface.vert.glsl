@@ -5,18 +5,18 @@
 #include <morphtarget_pars_vertex>
 #include <shadowmap_pars_vertex>
 
-varying vec3 seenAt;    // metres, in the scene
-varying vec3 localAt;   // metres, in the head's own axes
-varying vec3 facing;    // unit normal in the scene
+centroid varying vec3 seenAt;    // metres, in the scene
+centroid varying vec3 localAt;   // metres, in the head's own axes
+centroid varying vec3 facing;    // unit normal in the scene
 varying vec2 place;     // texture coordinate
 #ifdef SKIN
 attribute vec4 tangent;
 attribute vec4 traits;  // lips, inside of the mouth, scalp, distance to the rim
-varying vec4 along;     // tangent in the scene, handedness
-varying vec4 kind;
+centroid varying vec4 along;     // tangent in the scene, handedness
+centroid varying vec4 kind;
 #ifdef KEYFRAMES
 uniform highp sampler2D quartets[QUARTETS];
-varying float apart[KEYFRAMES];
+centroid varying float apart[KEYFRAMES];
 #endif
 #endif
 
@@ -56,4 +56,9 @@ void main() {
     #endif
     #include <shadowmap_vertex>
     gl_Position = projectionMatrix * viewMatrix * worldPosition;
+    #ifdef MOUTH
+    // what lies within the mouth never shows through the lips: it counts as 3 mm further away
+    vec4 behind = projectionMatrix * (viewMatrix * worldPosition - vec4(0.0, 0.0, 0.003, 0.0));
+    gl_Position.z = behind.z / behind.w * gl_Position.w;
+    #endif
 }
