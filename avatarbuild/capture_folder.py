@@ -105,7 +105,7 @@ def read_settings(root: Path) -> dict[str, Any]:
         return {}
     try:
         settings = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as e:
+    except (OSError, ValueError, RecursionError) as e:
         raise InputError(f"{path}: {' '.join(str(e).split())}; correct it or remove the file") from e
     for key in settings:
         if key not in _KEYS:

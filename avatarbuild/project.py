@@ -207,14 +207,25 @@ class Project:
             raise InputError(f"{message}: free some space, or name another disk with -o")
 
     def settings(self) -> dict[str, Any]:
-        """What project.toml says: capture and template (paths relative to the project), quality, options."""
+        """
+        What project.toml says: capture and template (paths relative to the project), quality, options.
+
+        Raises InputError where it is not what `write_settings` writes.
+        """
+        path = self.root / "project.toml"
         try:
-            with (self.root / "project.toml").open("rb") as f:
-                return tomllib.load(f)
+            settings = tomllib.loads(path.read_text(encoding="utf-8"))
         except FileNotFoundError:
             return {}
-        except tomllib.TOMLDecodeError as error:
-            raise InputError(f"{self.root / 'project.toml'} is not valid TOML ({error}): mend or delete it") from None
+        except (OSError, ValueError, RecursionError) as error:
+            raise InputError(f"{path} is not valid TOML ({error}): mend or delete it") from None
+        kinds = {"capture": str, "template": str, "quality": str, "options": dict}
+        wrong = [key for key, kind in kinds.items() if not isinstance(settings.get(key, kind()), kind)]
+        if wrong or not all(isinstance(value, str) for value in settings.get("options", {}).values()):
+            raise InputError(
+                f"{path}: {(wrong or ['options'])[0]} is not of the kind that `run` writes: delete the file"
+            )
+        return settings
 
     def template(self) -> TemplateFile:
         """
