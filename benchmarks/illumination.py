@@ -6,7 +6,8 @@ python benchmarks/illumination.py pictures PROJECT docs/images
 
 rooms: the person of a simulated PROJECT (stage neutral has run) photographed in other lights, `simulate --seed N --set
 light=1` and so on, each CAPTURE run until stage capture and its truth in CAPTURE.truth. The head is PROJECT's, the
-cameras are the true ones; fusion, gains, whites of the eyes, gloss, noise and exposure are those of a whole run.
+cameras are the true ones; fusion, gains, whites of the eyes, gloss, noise and exposure are those of a whole run. Then
+each room's textures are laid on the head in the other rooms' photos, the light refitted (`relighting.py`).
 """
 
 from __future__ import annotations
@@ -26,9 +27,12 @@ import pycolmap
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+import relighting
+
 from avatarbuild.artefacts import Cameras, Capture, Neutral, Views
 from avatarbuild.formats.colour import srgb_from_linear
 from avatarbuild.geometry.meshes import vertex_normals
+from avatarbuild.geometry.mipmap import build_mipmap
 from avatarbuild.geometry.similarity import similarity
 from avatarbuild.options import AlbedoOptions
 from avatarbuild.registration.eye_white import eye_whites
@@ -46,6 +50,7 @@ from avatarbuild.texture.photos import Photo, linear_picture, placed_in_head
 from avatarbuild.texture.template_skin import skin_texture
 
 SIZE = 512
+OTHERS = 5  # photos of every room, the most frontal ones
 HIDDEN = ("lids", "mouth", "sockets")
 
 
@@ -130,6 +135,7 @@ def rooms(project: Path, truth: Path, captures: list[Path], size: int) -> None:
     true = cv2.resize(linear_picture(bytes_), (size, size), interpolation=cv2.INTER_AREA)
     on = face_of(template, chart)
     rows: dict[str, list[np.ndarray]] = {"fused": [], "without whites": [], "albedo": []}
+    seen, taken = [], []
     for folder in captures:
         views = Capture.load(folder / "01-capture").photos
         placed, photos = truly_placed(views, folder.with_suffix(".truth"), placing)
@@ -145,11 +151,43 @@ def rooms(project: Path, truth: Path, captures: list[Path], size: int) -> None:
         rows["without whites"].append(illumination.factor(fused, template, neutral).albedo)
         rows["albedo"].append(illumination.factor(fused, template, neutral, whites=whites).albedo)
         on &= fused.seen > 0.3
+        seen.append(fused.seen)
+        taken.append([photos[i] for i in np.argsort([abs(photo.yaw) for photo in photos])[:OTHERS]])
     print("face, percent: difference between the lights | error against the truth | brightness over the truth's")
     for name, images in rows.items():
         errors = "  ".join(f"{apart([image, true], on):.1f}" for image in images)
         bright = "  ".join(f"{np.median(image[on]) / np.median(true[on]):.2f}" for image in images)
         print(f"  {name:15s} {apart(images, on):6.2f} | {errors} | {bright}")
+    head = relighting.head_of(template, neutral.vertices)
+    print("PSNR on the face in photos of the other rooms, light refitted: harmonics, with the field")
+    for name in ("fused", "albedo"):
+        values = [
+            value
+            for i, texture in enumerate(rows[name])
+            for j, others in enumerate(taken)
+            if i != j
+            for value in in_photos(head, texture, seen[i], others)
+        ]
+        plain, full = np.mean(values, axis=0)
+        print(f"  {name:15s} {plain:5.1f}, {full:5.1f} dB ({len(values)} pictures)")
+
+
+def in_photos(
+    head: relighting.Head, texture: np.ndarray, seen: np.ndarray, photos: list[Photo]
+) -> list[tuple[float, float]]:
+    """dB by harmonics and with the field, of a texture (s, s, 3) in photos, where `seen` (s, s) says it is known."""
+    levels = build_mipmap(texture.astype(np.float32))
+    known = build_mipmap(np.repeat((seen > 0.3)[..., None], 3, axis=2).astype(np.float32))
+    values = []
+    for photo in photos:
+        shot = relighting.Shot(photo.K, photo.dist, photo.R, photo.t, photo.size)
+        drawn = relighting.rendered(head, levels, shot)
+        real = linear_picture(photo.image.rgb())
+        use = drawn.face & (drawn.cosine > 0.3) & (real.max(axis=2) < 0.95)
+        use &= relighting.rendered(head, known, shot).picture[..., 0] > 0.99
+        lit = relighting.relit(drawn, real, use, photo.K[0, 0] / float(np.linalg.norm(photo.centre)))
+        values.append((relighting.psnr(lit[0], real, use), relighting.psnr(lit[1], real, use)))
+    return values
 
 
 def truly_placed(
