@@ -8,6 +8,7 @@ rig, the performance and the video follow when they are asked for. docs/viewer.m
 from __future__ import annotations
 
 import functools
+import io
 import json
 import logging
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from PIL import Image
 from scipy.spatial import cKDTree
 
 from avatarbuild.artefacts import Blendshapes
@@ -25,7 +27,7 @@ from avatarbuild.formats.gltf import Gltf, read_glb, with_picture
 from avatarbuild.geometry.head_pose import head_angles
 from avatarbuild.geometry.meshes import adjacency, border
 from avatarbuild.project import Project
-from avatarbuild.template import Template
+from avatarbuild.template import ARKIT_NAMES, Template
 from avatarbuild.viewer import film
 from avatarbuild.viewer.server import LIBRARY, Content, library, page_files
 
@@ -56,10 +58,12 @@ def files(project: Project, *, live: int | None) -> dict[str, Content]:
         raise InputError(f"{project.root} has no avatar yet: finish `avatarbuild run` first")
     table: dict[str, Content] = {**page_files(*PAGE), "synthesis.glsl": _SYNTHESIS, LIBRARY: library()}
     opened = functools.cache(lambda: _opened(glb))
+    picture = _albedo(opened())
     template = functools.cache(lambda: project.template().load())
     about: dict[str, Any] = {
         "version": SCENE_VERSION,
         "title": project.root.resolve().name.removesuffix(".avatar"),
+        "albedo": _side(picture) >= 2 * _SIDE,  # whether there is a larger one than avatar.glb has on the page
         "details": False,
         "performance": False,
         "video": False,
@@ -69,7 +73,8 @@ def files(project: Project, *, live: int | None) -> dict[str, Content]:
         "missing": {},
     }
     table["data/avatar.glb"] = lambda: lighter(opened())
-    table["data/albedo.jpg"] = lambda: opened().view(opened().named("images", "albedo")["bufferView"])
+    if about["albedo"]:
+        table["data/albedo.jpg"] = picture
     table["data/traits.bin"] = lambda: traits(template(), opened()).tobytes()
     details = _details(folder / "details")
     table |= details
@@ -96,16 +101,13 @@ def files(project: Project, *, live: int | None) -> dict[str, Content]:
 
 
 def lighter(glb: Gltf) -> bytes:
-    """avatar.glb with an albedo of at most 2048 texels along a side."""
-    try:
-        image = glb.named("images", "albedo")
-    except ValueError:
+    """avatar.glb with an albedo of 2048 to 4095 texels along a side, where its own is larger."""
+    data = _albedo(glb)
+    halves = _side(data) // _SIDE
+    if halves < 2:
         return with_picture(glb, None, b"")
-    data = glb.view(image["bufferView"])
-    halves = max(_side(data) // _SIDE, 1)
-    if halves == 1:
-        return with_picture(glb, None, b"")
-    reduced = {2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4}.get(halves, cv2.IMREAD_REDUCED_COLOR_8)
+    steps = (cv2.IMREAD_REDUCED_COLOR_2, cv2.IMREAD_REDUCED_COLOR_4, cv2.IMREAD_REDUCED_COLOR_8)
+    reduced = steps[min(halves.bit_length(), 4) - 2]
     smaller = cv2.imdecode(np.frombuffer(data, np.uint8), reduced)
     assert smaller is not None
     done, jpeg = cv2.imencode(".jpg", smaller, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
@@ -147,8 +149,6 @@ def traits(template: Template, glb: Gltf) -> np.ndarray:
 
 def performance(track: Path) -> dict[str, Any]:
     """track.json with its numbers in rows: weights (f, 52) in ARKit's order, poses (f, 12), head angles (f, 3)."""
-    from avatarbuild.template import ARKIT_NAMES
-
     try:
         about = json.loads(track.read_text(encoding="utf-8"))
         frames = about["frames"]
@@ -220,11 +220,16 @@ def _mouth(template: Callable[[], Template], glb: Callable[[], Gltf]) -> dict[st
     return {"gap": [int(line[len(line) // 2]) for line in lines]}
 
 
-def _side(jpeg: bytes) -> int:
-    """Pixels along the longer side of a picture, from its header alone where the decoder allows it."""
-    import io
+def _albedo(glb: Gltf) -> bytes:
+    """The albedo's file; b"" where there is none, as in files of early versions."""
+    images = [image for image in glb.tree.get("images", []) if image.get("name") == "albedo"]
+    return glb.view(images[0]["bufferView"]) if images else b""
 
-    from PIL import Image
 
-    with Image.open(io.BytesIO(jpeg)) as image:
-        return max(image.size)
+def _side(picture: bytes) -> int:
+    """Pixels along the longer side, from a picture's header; 0 for none."""
+    try:
+        with Image.open(io.BytesIO(picture)) as image:
+            return max(image.size)
+    except OSError:
+        return 0

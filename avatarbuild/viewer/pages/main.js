@@ -344,7 +344,7 @@ async function main() {
 
   // the full albedo comes when the first picture stands
   async function sharpen() {
-    try {
+    if (about.albedo) try {
       const image = await createImageBitmap(await fetched("data/albedo.jpg", "blob"), { colorSpaceConversion: "none" });
       const old = surface.skin.uniforms.map.value;
       if (image.width > (old.image?.width ?? 0) && image.width <= stage.renderer.capabilities.maxTextureSize) {

@@ -48,7 +48,7 @@ export class Surface {
     const uniforms = {
       ...THREE.UniformsUtils.clone(THREE.UniformsLib.lights),
       ...this.shared,
-      map: { value: own.map ?? plain(200, 170, 155) },
+      map: { value: own.map ?? plain(255 * own.color.r, 255 * own.color.g, 255 * own.color.b) },
       roughness: { value: ROUGHNESS[part] ?? own.roughness ?? 0.5 },
     };
     if (uniforms.map.value.isTexture) uniforms.map.value.anisotropy = 8;
