@@ -289,7 +289,8 @@ def batch(
     if as_json:
         typer.echo(json.dumps(_batch_json(output, made), indent=1, ensure_ascii=False))
     failed = [row for row in made if row.state == "failed"]
-    screen.print(f"{output}: {len(made) - len(failed)} of {len(made)} done; begin with index.html", soft_wrap=True)
+    done = sum(row.state == "done" for row in made)
+    screen.print(f"{output}: {done} of {len(made)} done; begin with index.html", soft_wrap=True)
     if failed:
         faults = [row for row in failed if row.reason == "fault"]
         raise typer.Exit(FAULT if faults else BAD_INPUT)

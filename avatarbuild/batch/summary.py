@@ -149,10 +149,14 @@ def _card(row: Row, project: Path) -> str:
     tone = "poor" if row.state == "failed" else "fair" if row.warnings or row.state == "unfinished" else "good"
     name = escape(row.subject)
     title = f'<a href="{escape(quote(row.report))}">{name}</a>' if row.report else name
-    state = row.state if row.state == "done" else f"{row.state}, {'after ' + row.stage if row.stage else 'not begun'}"
+    state = row.state
+    if row.state != "done":
+        state += f" after stage {row.stage}" if row.stage else "" if row.state == "failed" else ", not begun"
+    if row.seconds:
+        state += f" · {duration(row.seconds)} of computation"
     known = {key.replace("_", " "): value for key, value in row.figures.items() if value is not None}
     facts = [f"<div><dt>{escape(key)}</dt><dd>{value:g}</dd></div>" for key, value in known.items()]
-    parts = [f'<h2>{title}</h2><p class="state">{escape(state)} · {duration(row.seconds)} of computation</p>']
+    parts = [f'<h2>{title}</h2><p class="state">{escape(state)}</p>']
     if row.message:
         parts.append(f'<p class="message">{escape(row.message)}</p>')
     parts.append(f'<dl class="figures">{"".join(facts)}</dl>')
