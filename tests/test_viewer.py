@@ -7,6 +7,8 @@ import functools
 import http.server
 import json
 import os
+import socket
+import struct
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,7 +31,7 @@ from avatarbuild.geometry.tangents import vertex_tangents
 from avatarbuild.project import Project
 from avatarbuild.report.rendering import View, look
 from avatarbuild.template import expression_weights
-from avatarbuild.viewer import scene, server
+from avatarbuild.viewer import live, scene, server
 from avatarbuild.viewer.view import export
 from tests import devtools
 
@@ -301,12 +303,16 @@ def test_export_is_served_by_any_server(project, tmp_path):
 
 
 def test_an_avatar_from_photos_alone_and_no_webgl(tmp_path):
-    """Neither details nor performance: both are said, the face is there. Without WebGL 2 there is a sentence."""
+    """Neither details nor performance: both are said; the face is there, and live. Without WebGL 2: a sentence."""
     alone = viewer_project.project(tmp_path, details=False, tracked=False)
-    table = scene.files(alone, live=None)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    table = scene.files(alone, live=port)
     assert "data/performance.json" not in table
     assert not [address for address in table if address.startswith("data/details")]
-    with server.serving(server.application(table)) as address, devtools.browser() as page:
+    app = server.application(table, [live.route(port)])
+    with server.serving(app) as address, devtools.browser() as page:
         page.size(*SIZE)
         page.open(address)
         assert page.wait(READY, 120) == "ready"
@@ -319,6 +325,11 @@ def test_an_avatar_from_photos_alone_and_no_webgl(tmp_path):
         assert "no video" in details[1]
         assert page.evaluate("document.getElementById('timeline').hidden") is True
         assert _drawn(page).std() > 12
+        page.evaluate("viewer.toggleLive()")
+        page.wait("document.getElementById('live-note').textContent.includes('Listening')", 30)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.sendto(b"/jawOpen\0\0\0\0,f\0\0" + struct.pack(">f", 0.5), ("127.0.0.1", port))
+        page.wait("viewer.avatar.head.morphTargetInfluences[17] === 0.5", 30)
         page.call(
             "Page.addScriptToEvaluateOnNewDocument", source="HTMLCanvasElement.prototype.getContext = () => null;"
         )
