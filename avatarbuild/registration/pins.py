@@ -96,7 +96,10 @@ def pins(
         across = np.einsum("ca,cb->cab", up, up)
         if depth is not None:
             across = across + np.einsum("ca,cb->cab", out, out) * (sigma / depth) ** 2
-        H = across / sigma**2 + np.einsum("ca,cb->cab", tangent, tangent) / slide**2
+        slides = np.full(len(line), slide)
+        if name in seen.drawn and name in (*LID_RIMS, *LIP_BORDERS):
+            slides[[0, -1]] = sigma  # a corner that the user has set
+        H = across / sigma**2 + np.einsum("ca,cb->cab", tangent, tangent) / slides[:, None, None] ** 2
         rows.append(sp.csr_matrix((np.ones(len(line)), (np.arange(len(line)), line)), shape=(len(line), n)))
         places.append(at)
         stiff.append(H * min(1.0, spacing))
