@@ -111,19 +111,19 @@ def psnr(a: np.ndarray, b: np.ndarray, use: np.ndarray) -> float:
     return float(10 * np.log10(255**2 / np.mean((one - two) ** 2)))
 
 
-def video(project_folder: Path, capture: Capture, made: Albedo, truth: Path | None, pictures: Path | None) -> None:
+def video(folder: Path, capture: Capture, made: Albedo, truth: Path | None, pictures: Path | None) -> None:
     """
     PSNR on the face in ten of the video's frames, spread over the whole clip: the tracked head in refined shapes; with
     a truth that has a video also the true albedo on the true head, which tells what the fit leaves to a texture.
     """
     assert capture.clip is not None
     for name in ("07-tracking", "08-refinement"):
-        if not (project_folder / name).exists():
+        if not (folder / name).exists():
             print(f"video: {name} is missing; run the project to the end first")
             return
     template = Template.load()
-    performance = Performance.load(project_folder / "07-tracking")
-    shapes = Refinement.load(project_folder / "08-refinement")
+    performance = Performance.load(folder / "07-tracking")
+    shapes = Refinement.load(folder / "08-refinement")
     good = good_frames(performance)
     rows = good[np.linspace(0, len(good) - 1, FRAMES).round().astype(int)]
     w, h = performance.size
@@ -137,7 +137,8 @@ def video(project_folder: Path, capture: Capture, made: Albedo, truth: Path | No
         posed = shapes.neutral + np.tensordot(performance.weights[f], shapes.deltas.astype(float), 1)
         dist = np.array([performance.k1, 0, 0, 0, 0])
         own = Shot(K, dist, performance.rotation[f], performance.translation[f], performance.size)
-        scenes = {name: (head_of(template, posed), levels, own) for name, levels in textures.items()}
+        head = head_of(template, posed)
+        scenes = {name: (head, levels, own) for name, levels in textures.items()}
         if true is not None:
             scenes["true albedo, true head"] = true(f, performance.size)
         for name, (head, levels, shot) in scenes.items():
