@@ -490,7 +490,9 @@ class Details(Files):
 
 
 class Avatar(Files):
-    """The deliverables: avatar.glb, avatar.json, report.html, …"""
+    """The deliverables: avatar.glb, avatar.json, report.html, …; what shows seconds is not in the stamp."""
+
+    shows_seconds = ("report.html",)
 
 
 def _write_json(path: Path, value: Any) -> None:

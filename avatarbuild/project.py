@@ -184,7 +184,11 @@ class Project:
         try:
             shutil.rmtree(partial, ignore_errors=True)
             artefact.save(partial)
-            stamp = {"version": STAMP_VERSION, **stamp, "files": _digests(partial)}
+            stamp = {
+                "version": STAMP_VERSION,
+                **stamp,
+                "files": _digests(partial, getattr(artefact, "shows_seconds", ())),
+            }
             stamp["seal"] = _seal(stamp)
             text = json.dumps(stamp, indent=1, ensure_ascii=False, sort_keys=True)
             (partial / "stamp.json").write_text(text + "\n", encoding="utf-8")
@@ -272,13 +276,14 @@ class Project:
         shutil.rmtree(self.folder(stage), ignore_errors=True)
 
 
-def _digests(folder: Path) -> dict[str, str]:
+def _digests(folder: Path, without: tuple[str, ...] = ()) -> dict[str, str]:
     """Of every file of a stage's folder but the stamp, by its name there, the first half of its SHA-256."""
     made = {}
     for path in sorted(folder.rglob("*")):
-        if path.is_file() and path != folder / "stamp.json":
+        name = path.relative_to(folder).as_posix()
+        if path.is_file() and name not in ("stamp.json", *without):
             with path.open("rb") as f:
-                made[path.relative_to(folder).as_posix()] = hashlib.file_digest(f, "sha256").hexdigest()[:32]
+                made[name] = hashlib.file_digest(f, "sha256").hexdigest()[:32]
     return made
 
 

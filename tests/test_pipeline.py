@@ -260,6 +260,43 @@ def test_stamps_hold_dates_under_timing_only(tmp_path: Path, cheap: list[str]) -
     assert timing["started"][:4] not in json.dumps(stamp)
 
 
+def test_a_stamp_vouches_for_its_files_and_for_itself(tmp_path: Path) -> None:
+    project = Project(tmp_path)
+    project.save("points", Number(7), {"key": "k", "figures": {}, "timing": {"seconds": 1.0}})
+    assert project.read("points", Number).value == 7
+    place = project.folder("points")
+    (place / "Thumbs.db").write_text("a file manager's")
+    assert project.read("points", Number).value == 7
+    (place / "number").write_text("8")
+    with pytest.raises(InputError, match=r"number has changed since it was made.*--from points"):
+        project.read("points", Number)
+    (place / "number").unlink()
+    with pytest.raises(InputError, match="number is gone"):
+        project.read("points", Number)
+    text = (place / "stamp.json").read_text()
+    (place / "stamp.json").write_text(text.replace('"seconds": 1.0', '"seconds": 2.0'))
+    assert project.stamp("points") is not None
+    (place / "stamp.json").write_text(text.replace('"key": "k"', '"key": "l"'))
+    assert project.stamp("points") is None
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "null", "[" * 5000, '{"timing": 3}', '{"key": "k", "timing": {"seconds": "x"}}', "{}"]
+)
+def test_a_damaged_stamp_is_none(text: str, tmp_path: Path) -> None:
+    project = Project(tmp_path)
+    project.folder("points").mkdir()
+    (project.folder("points") / "stamp.json").write_text(text)
+    assert project.stamp("points") is None
+
+
+@pytest.mark.parametrize("text", ["\xff", "a = ", "quality = 3", "options = 'x'", "[options]\na = 1", "[" * 5000])
+def test_damaged_settings_are_one_line(text: str, tmp_path: Path) -> None:
+    (tmp_path / "project.toml").write_bytes(text.encode("latin1"))
+    with pytest.raises(InputError, match=r"project\.toml"):
+        Project(tmp_path).settings()
+
+
 def test_digest_is_of_names_and_bytes(tmp_path: Path) -> None:
     for name in ("a", "b"):
         (tmp_path / name).write_text(name)
