@@ -275,8 +275,8 @@ def batch(
     all_options.stage_options(quality or "standard", settings)
     if scheduler is not None and workers is not None:
         raise InputError("--workers was given with --scheduler: the cluster has its own workers, give one of the two")
-    if any(value is not None and value <= 0 for value in (memory, time_limit)):
-        raise InputError("--memory and --time-limit must be above 0")
+    if any(value is not None and not 0 < value < 1e6 for value in (memory, time_limit)):
+        raise InputError("--memory and --time-limit must be above 0, in GB and minutes")
     words = [word for pair in pairs or [] for word in ("--set", pair)]
     words += ["--until", until] if until else []
     words += ["--quality", quality] if quality else []
