@@ -59,7 +59,7 @@ def page(project: Project) -> Iterator[devtools.Page]:
         opened.size(*SIZE)
         opened.open(address)
         opened.wait(READY, 120)
-        opened.wait("window.viewer && document.documentElement.dataset.performance === 'ready'", 60)
+        opened.wait("document.documentElement.dataset.whole === 'ready'", 60)
         opened.press("h")
         yield opened
 
@@ -99,7 +99,7 @@ def test_vertices_on_the_page_are_the_files(page, project):
     _set(page, named)
     posed = np.array(page.evaluate("Array.from(viewer.avatar.posed)")).reshape(-1, 3)
     edges = page.evaluate("viewer.avatar.details.about.edges")
-    gap = page.evaluate("viewer.avatar.scene.mouth.gap")
+    gap = page.evaluate("viewer.avatar.gap")
     places = list(dict.fromkeys([v for edge in edges for v in edge] + gap))
     gltf = read_glb((project.folder("avatar") / "avatar.glb").read_bytes())
     head = gltf.named("meshes", "head")["primitives"][0]
@@ -295,7 +295,7 @@ def test_export_is_served_by_any_server(project, tmp_path):
         page.size(*SIZE)
         page.open(f"http://127.0.0.1:{plain.server_port}/")
         assert page.wait(READY, 120) == "ready"
-        page.wait("window.viewer && document.documentElement.dataset.performance === 'ready'", 60)
+        page.wait("document.documentElement.dataset.whole === 'ready'", 60)
         assert page.faults == []
         assert page.evaluate("document.getElementById('live').disabled") is True
         assert _drawn(page).std() > 12
@@ -316,7 +316,7 @@ def test_an_avatar_from_photos_alone_and_no_webgl(tmp_path):
         page.size(*SIZE)
         page.open(address)
         assert page.wait(READY, 120) == "ready"
-        page.wait("!!window.viewer", 60)
+        page.wait("document.documentElement.dataset.whole", 60)
         assert page.faults == []
         details = page.evaluate(
             "(({ disabled, title }) => [disabled, title])(document.querySelector('[data-toggle=details]'))"
@@ -349,15 +349,13 @@ def test_what_the_page_is_made_of(project):
         "live": 39539,
     }.items() <= about.items()
     assert all(not address.startswith("/") and ".." not in address for address in table)
-    traits = np.frombuffer(_bytes(table["data/traits.bin"]), np.uint8).reshape(-1, 4)
+    data = _bytes(table["data/traits.bin"])
+    upper, lower = np.frombuffer(data[:8], "<u4")
+    traits = np.frombuffer(data[8:], np.uint8).reshape(-1, 4)
     head = read_glb(_bytes(table["data/avatar.glb"]))
-    assert (
-        len(traits)
-        == head.tree["accessors"][head.named("meshes", "head")["primitives"][0]["attributes"]["POSITION"]]["count"]
-    )
     assert (traits[:, :3].max(axis=0) > 200).all()
-    upper, lower = about["mouth"]["gap"]
     positions = head.accessor(head.named("meshes", "head")["primitives"][0]["attributes"]["POSITION"])
+    assert len(traits) == len(positions)
     assert abs(positions[[upper, lower], 0]).max() < 0.004  # metres from the middle
     assert 0 <= positions[upper, 1] - positions[lower, 1] < 0.004
 
@@ -375,6 +373,25 @@ def test_a_large_albedo_is_halved_for_the_start():
         assert lighter.view(lighter.named("images", name)["bufferView"]) == read_glb(whole).view(
             read_glb(whole).named("images", name)["bufferView"]
         )
+
+
+def test_details_name_no_file_elsewhere(tmp_path):
+    """What details.json names is served only where it lies beside it, as a file of its own."""
+    (tmp_path / "secret.png").write_bytes(b"secret")
+    folder = tmp_path / "details"
+    folder.mkdir()
+    for name in ("positions.png", "weights_00.png"):
+        (folder / name).write_bytes(b"x")
+    (folder / "link.png").symlink_to(tmp_path / "secret.png")
+    for named, count in (
+        ("weights_00.png", 3),
+        ("../secret.png", 0),
+        ("link.png", 0),
+        (str(tmp_path / "secret.png"), 0),
+    ):
+        about = {"positions": {"file": "positions.png"}, "weights": [{"file": named}]}
+        (folder / "details.json").write_text(json.dumps(about))
+        assert len(scene.details_of(folder)) == count
 
 
 def test_projects_without_an_avatar_and_folders_of_others(project, tmp_path):

@@ -11,7 +11,6 @@ import functools
 import io
 import json
 import logging
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -75,8 +74,8 @@ def files(project: Project, *, live: int | None) -> dict[str, Content]:
     table["data/avatar.glb"] = lambda: lighter(opened())
     if about["albedo"]:
         table["data/albedo.jpg"] = picture
-    table["data/traits.bin"] = lambda: traits(template(), opened()).tobytes()
-    details = _details(folder / "details")
+    table["data/traits.bin"] = lambda: traits(template(), opened())
+    details = details_of(folder / "details")
     table |= details
     about["details"] = bool(details)
     if not details:
@@ -96,7 +95,7 @@ def files(project: Project, *, live: int | None) -> dict[str, Content]:
     if project.stamp("blendshapes") is not None:
         about["transferred"] = True
         table["data/transferred.glb"] = lambda: transferred(project, template())
-    table["data/scene.json"] = lambda: json.dumps({**about, "mouth": _mouth(template, opened)}).encode()
+    table["data/scene.json"] = json.dumps(about).encode()
     return table
 
 
@@ -115,10 +114,11 @@ def lighter(glb: Gltf) -> bytes:
     return with_picture(glb, "albedo", jpeg.tobytes())
 
 
-def traits(template: Template, glb: Gltf) -> np.ndarray:
+def traits(template: Template, glb: Gltf) -> bytes:
     """
-    (v, 4) uint8 for every vertex of mesh `head`: lips, inside of the mouth, scalp (0 or 255, softened over two rings),
-    and the distance to the rim of the neck, 255 from 35 mm on. Plain skin where the template does not fit the file.
+    What the template tells of mesh `head`. Two vertices (uint32, little-endian) whose distance is the gap between the
+    lips; then four bytes a vertex: lips, inside of the mouth, scalp (0 or 255, softened over two rings), and the
+    distance to the rim of the neck, 255 from 35 mm on. Plain skin where the template does not fit the file.
     """
     primitive = glb.named("meshes", "head")["primitives"][0]
     positions = glb.accessor(primitive["attributes"]["POSITION"]) / avatar_glb.METRES
@@ -129,7 +129,7 @@ def traits(template: Template, glb: Gltf) -> np.ndarray:
     )
     if len(split.sources) != len(positions):
         log.warning("avatar.glb was made with another head template: lips and scalp look like the rest of the skin")
-        return np.tile(np.array([0, 0, 0, 255], np.uint8), (len(positions), 1))
+        return np.full(2, 2**32 - 1, "<u4").tobytes() + bytes((0, 0, 0, 255)) * len(positions)
     regions = {name: mask[:n] for name, mask in template.regions.items()}
     masks = np.stack(
         [regions["lips"], regions["mouth"] & ~regions["face"] & ~regions["lips"], regions["scalp"]], axis=1
@@ -144,7 +144,9 @@ def traits(template: Template, glb: Gltf) -> np.ndarray:
     if rim.any():
         distance = cKDTree(positions[:n][rim]).query(positions[:n])[0]
     rows = np.concatenate([soft, np.clip(distance / _FADE, 0, 1)[:, None]], axis=1)
-    return np.round(255 * rows[split.sources]).astype(np.uint8)
+    lines = [template.contours[name] for name in ("lips_inner_upper", "lips_inner_lower")]
+    gap = np.array([line[len(line) // 2] for line in lines], "<u4")
+    return gap.tobytes() + np.round(255 * rows[split.sources]).astype(np.uint8).tobytes()
 
 
 def performance(track: Path) -> dict[str, Any]:
@@ -177,14 +179,7 @@ def transferred(project: Project, template: Template) -> bytes:
     return avatar_glb.write(template, shapes, avatar_glb.Pictures(pixel, pixel, pixel, grey), {}).glb
 
 
-def _opened(path: Path) -> Gltf:
-    try:
-        return read_glb(path.read_bytes())
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path} is damaged ({error}): run stage avatar again") from error
-
-
-def _details(folder: Path) -> dict[str, Content]:
+def details_of(folder: Path) -> dict[str, Content]:
     """What the shader needs of avatar/details; nothing where a part of it is missing."""
     try:
         about = json.loads((folder / "details.json").read_text(encoding="utf-8"))
@@ -197,6 +192,13 @@ def _details(folder: Path) -> dict[str, Content]:
     return {f"data/details/{name}": here[name] for name in names}
 
 
+def _opened(path: Path) -> Gltf:
+    try:
+        return read_glb(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path} is damaged ({error}): run stage avatar again") from error
+
+
 def _light(project: Project) -> list[list[float]] | None:
     """(9, 3) the photos' light; None where stage albedo has not been run."""
     try:
@@ -204,20 +206,6 @@ def _light(project: Project) -> list[list[float]] | None:
             return np.round(arrays["harmonics"], 5).tolist()
     except (OSError, KeyError, ValueError):
         return None
-
-
-def _mouth(template: Callable[[], Template], glb: Callable[[], Gltf]) -> dict[str, Any] | None:
-    """The two vertices of mesh `head` whose distance is the gap between the lips; None for another template's file."""
-    try:
-        known = template()
-    except InputError as error:  # the face can be seen without it
-        log.warning("%s", error)
-        return None
-    head = glb().named("meshes", "head")["primitives"][0]["attributes"]["POSITION"]
-    if glb().tree["accessors"][head]["count"] < known.parts["skin"].vertices.stop:
-        return None
-    lines = [known.contours[name] for name in ("lips_inner_upper", "lips_inner_lower")]
-    return {"gap": [int(line[len(line) // 2]) for line in lines]}
 
 
 def _albedo(glb: Gltf) -> bytes:

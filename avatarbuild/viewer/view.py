@@ -66,16 +66,17 @@ def export(project: Project, folder: Path, told: Callable[[str], None]) -> int:
 
 def warm(table: dict[str, server.Content]) -> None:
     """Begins with what the first picture needs while the browser still starts; the table keeps what is made."""
-    for address in ("data/avatar.glb", "data/scene.json", "data/traits.bin"):
-        content = table.get(address)
-        if callable(content):
-            table[address] = server.once(content)
-    first = [content for content in (table.get("data/avatar.glb"), table.get("data/scene.json")) if callable(content)]
+    first = []
+    for address in ("data/avatar.glb", "data/traits.bin"):
+        content = table[address]
+        assert callable(content)
+        first.append(server.once(content))
+        table[address] = first[-1]
 
     def begin() -> None:
-        for content in first:
+        for make in first:
             try:
-                content()
+                make()
             except InputError as error:  # the page says so when it asks
                 log.warning("%s", error)
 

@@ -11,10 +11,10 @@ export async function loadGlb(address) {
 }
 
 export class Avatar {
-  constructor(gltf, scene, surface, details) {
+  constructor(gltf, surface, details) {
     this.root = gltf.scene;
     this.details = details;
-    this.scene = scene;
+    this.gap = []; // the vertices whose distance is the gap between the lips
     this.weights = new Float32Array(NAMES.length);
     this.extras = gltf.userData ?? {};
     this.limits = (this.extras.weightLimits ?? []).filter((l) => l.shape in INDEX && l.atMost in INDEX);
@@ -63,9 +63,20 @@ export class Avatar {
     this.setWeights(this.weights);
   }
 
+  // What the head template tells: gap, two vertices or none; traits (v, 4), see surface.vert.glsl.
+  tell(gap, traits) {
+    const { count } = this.head.geometry.attributes.position;
+    if (traits.length !== 4 * count) throw new Error("traits.bin does not fit avatar.glb");
+    const attribute = new THREE.BufferAttribute(traits, 4, true);
+    for (const geometries of Object.values(this.rigs)) geometries.get("head").setAttribute("traits", attribute);
+    this.gap = gap.every((v) => v < count) ? gap : [];
+    this.probe();
+    this.setWeights(this.weights);
+  }
+
   // Where the few vertices lie that the CPU has to know of: at rest, and how each shape moves them.
   probe() {
-    const edges = this.details?.about.edges ?? [], gap = this.scene.mouth?.gap ?? [];
+    const edges = this.details?.about.edges ?? [], { gap } = this;
     const vertices = [...new Set([...edges.flat(), ...gap])];
     const geometry = this.head.geometry, rest = geometry.attributes.position;
     const targets = geometry.morphAttributes.position ?? [];

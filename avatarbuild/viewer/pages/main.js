@@ -49,16 +49,10 @@ async function load(context) {
   ]);
   if (about.version !== 1) throw new Error(`scene.json has version ${about.version}, 1 is needed`);
   const stage = new Stage($("canvas"), context, $("view"));
-  const [details, traits] = await Promise.allSettled([
-    about.details ? loadDetails("data/details", stage.renderer, synthesis) : null,
-    fetched("data/traits.bin", "arrayBuffer"),
-  ]);
+  const [details] = await Promise.allSettled([about.details ? loadDetails("data/details", stage.renderer, synthesis) : null]);
   if (details.status === "rejected") about.missing.details = `The details cannot be read (${details.reason.message}).`;
   const surface = new Surface({ vertex, fragment, synthesis }, details.value ?? null);
-  const head = gltf.scene.getObjectByName("head")?.geometry;
-  if (head && traits.value?.byteLength === 4 * head.attributes.position.count)
-    head.setAttribute("traits", new THREE.BufferAttribute(new Uint8Array(traits.value), 4, true));
-  const avatar = new Avatar(gltf, about, surface, details.value ?? null);
+  const avatar = new Avatar(gltf, surface, details.value ?? null);
   stage.show(avatar, surface);
   return { about, stage, surface, avatar, details: avatar.details };
 }
@@ -221,10 +215,6 @@ async function main() {
     $("side").title = made.views ? (missing.video ?? "The video beside it, through the same lens (V)") : "This table belongs to no video";
     $("motion").disabled = !made.views && !made.angles;
   }
-  if (about.performance)
-    fetched("data/performance.json", "json").then(usePerformance)
-      .then(() => { document.documentElement.dataset.performance = "ready"; })
-      .catch((error) => toast(`The performance cannot be loaded: ${error.message}`, 8));
 
   // ---- in and out
   async function importTable(file) {
@@ -283,6 +273,8 @@ async function main() {
       return;
     }
     try {
+      stage.steady = true;
+      stage.draw();
       const ended = recorder.start();
       $("clip").textContent = "Stop";
       $("clip").classList.add("recording");
@@ -296,6 +288,7 @@ async function main() {
     } catch (error) {
       toast(error.message, 8);
     }
+    stage.steady = false;
     timeline.ended = null;
     $("clip").textContent = "Record clip";
     $("clip").classList.remove("recording");
@@ -329,34 +322,42 @@ async function main() {
     ["?", "these keys", click("help")],
   ], (digit) => PRESETS[digit] && glideTo(PRESETS[digit].weights));
 
-  // ---- the first picture
+  // ---- the first picture, coarse and before what it does not need; then the rest
   stage.frame();
   avatar.place(null);
   light.use("studio");
-  stage.draw();
+  stage.draw(true, 0.5);
   $("cover").classList.add("gone");
   document.documentElement.dataset.state = "ready";
   stage.run(() => {
     if (timeline.tick()) showMoment();
     if (glide) gliding();
   });
-  sharpen();
 
-  // the full albedo comes when the first picture stands
-  async function sharpen() {
-    if (about.albedo) try {
-      const image = await createImageBitmap(await fetched("data/albedo.jpg", "blob"), { colorSpaceConversion: "none" });
-      const old = surface.skin.uniforms.map.value;
-      if (image.width > (old.image?.width ?? 0) && image.width <= stage.renderer.capabilities.maxTextureSize) {
-        const texture = new THREE.Texture(image);
-        Object.assign(texture, { colorSpace: THREE.SRGBColorSpace, flipY: false, anisotropy: 8, needsUpdate: true });
-        avatar.setAlbedo(texture, old);
-        old.dispose();
-        stage.redraw();
-      }
-    } catch { /* the smaller one serves */ }
-    document.documentElement.dataset.albedo = "ready";
+  async function traits() {
+    const data = await fetched("data/traits.bin", "arrayBuffer");
+    avatar.tell([...new Uint32Array(data, 0, 2)], new Uint8Array(data, 8));
+    stage.redraw(true);
   }
+  async function sharpen() {
+    if (!about.albedo) return;
+    const image = await createImageBitmap(await fetched("data/albedo.jpg", "blob"), { colorSpaceConversion: "none" });
+    if (image.width > stage.renderer.capabilities.maxTextureSize) return;
+    const texture = new THREE.Texture(image), old = surface.skin.uniforms.map.value;
+    Object.assign(texture, { colorSpace: THREE.SRGBColorSpace, flipY: false, anisotropy: 8, needsUpdate: true });
+    avatar.setAlbedo(texture, old);
+    old.dispose();
+    stage.redraw();
+  }
+  async function played() {
+    if (about.performance) usePerformance(await fetched("data/performance.json", "json"));
+  }
+  // each of them can be done without
+  Promise.allSettled([traits(), sharpen(), played()]).then((parts) => {
+    const fault = parts.find((part) => part.status === "rejected");
+    if (fault) toast(`A part of the avatar cannot be loaded: ${fault.reason.message}`, 8);
+    document.documentElement.dataset.whole = "ready";
+  });
 
   window.viewer = {
     THREE, stage, avatar, details, surface, timeline, toggles, light,

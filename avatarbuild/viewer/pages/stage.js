@@ -3,6 +3,7 @@ import { THREE, OrbitControls } from "./three.js";
 
 const CENTRE = new THREE.Vector3(0, -0.025, -0.03); // metres: the middle of a face and its hair
 const FOV = 24, DISTANCE = 0.76;
+const QUICK = 34, TOO_LONG = 110, RESTED = 400; // milliseconds from picture to picture
 
 export class Stage {
   // box: the element that the canvas fills; surface: whose key light throws the shadow
@@ -24,6 +25,7 @@ export class Stage {
     this.controls.addEventListener("start", () => this.leaveFilm());
     this.film = null; // the lens that is looked through: { size: [w, h], focal } in pixels
     this.dirty = this.shadowStale = true;
+    this.steady = false; // while a clip is recorded its size must not change
     this.centre = CENTRE.clone();
     new ResizeObserver(() => this.resize()).observe(box);
   }
@@ -70,7 +72,7 @@ export class Stage {
     const { clientWidth: w, clientHeight: h } = this.box, { renderer, camera } = this;
     if (!w || !h) return;
     const ratio = Math.min(devicePixelRatio || 1, 2), size = renderer.getSize(new THREE.Vector2());
-    if (!force && size.x === w && size.y === h && renderer.getPixelRatio() === ratio) return;
+    if (!force && size.x === w && size.y === h) return;
     renderer.setPixelRatio(ratio);
     renderer.setSize(w, h, false);
     camera.aspect = w / h;
@@ -84,23 +86,40 @@ export class Stage {
     this.redraw();
   }
 
-  // whole: the shadow too, whatever has changed
-  draw(whole = false) {
-    const { renderer, surface } = this;
+  // whole: the shadow too, whatever has changed; scale: of the picture's sides
+  draw(whole = false, scale = 1) {
+    const { renderer, surface } = this, { clientWidth: w, clientHeight: h } = this.box;
+    const ratio = scale * Math.min(devicePixelRatio || 1, 2);
+    if (ratio !== renderer.getPixelRatio() && w && h) {
+      renderer.setPixelRatio(ratio);
+      renderer.setSize(w, h, false);
+    }
     this.avatar.details?.refresh();
     renderer.shadowMap.needsUpdate = (whole || this.shadowStale) && surface.key.castShadow;
     this.dirty = this.shadowStale = false;
     renderer.render(this.scene, this.camera);
   }
 
-  // calls `moved` before every picture and draws where there is something new
+  // Calls `moved` before every picture and draws where there is something new. Where pictures take long they are drawn
+  // coarser while things move, and finely once they rest.
   run(moved) {
-    const step = () => {
+    let last = 0, slow = 0, owed = true;
+    const step = (now) => {
       moved();
-      if (this.dirty) this.draw();
+      if (this.dirty) {
+        const gap = now - last;
+        slow = gap < TOO_LONG || gap > RESTED ? Math.max(slow - (gap < QUICK ? 1 : 0), 0) : Math.min(slow + 1, 3);
+        const coarse = slow >= 2 && !this.steady;
+        this.draw(false, coarse ? 0.5 : 1);
+        last = now;
+        owed = coarse;
+      } else if (owed && now - last > RESTED) {
+        this.draw();
+        owed = false;
+      }
       requestAnimationFrame(step);
     };
-    step();
+    requestAnimationFrame(step);
   }
 
   // milliseconds of `count` pictures drawn to the end, and of the CPU's share of them; pose(i) sets an expression
