@@ -288,12 +288,10 @@ def batch(
     made = run_batch(captures, output, words, until, means, screen)
     if as_json:
         typer.echo(json.dumps(_batch_json(output, made), indent=1, ensure_ascii=False))
-    failed = [row for row in made if row.state == "failed"]
-    done = sum(row.state == "done" for row in made)
-    screen.print(f"{output}: {done} of {len(made)} done; begin with index.html", soft_wrap=True)
-    if failed:
-        faults = [row for row in failed if row.reason == "fault"]
-        raise typer.Exit(FAULT if faults else BAD_INPUT)
+    undone = [row for row in made if row.state != "done"]
+    screen.print(f"{output}: {len(made) - len(undone)} of {len(made)} done; begin with index.html", soft_wrap=True)
+    if undone:
+        raise typer.Exit(FAULT if any(row.reason == "fault" for row in undone) else BAD_INPUT)
 
 
 def _batch_json(output: Path, made: list[Any]) -> dict[str, Any]:

@@ -39,19 +39,20 @@ class Claim:
             return True
         try:
             os.utime(self.path)
+            highest = _highest(self.folder, self.name)
         except FileNotFoundError:
             return False
         except OSError:  # a shared folder that does not answer for a moment
             return time.monotonic() - self.renewed < STALE
         self.renewed = time.monotonic()
-        return _highest(self.folder, self.name) == self.number
+        return highest == self.number
 
     def release(self) -> None:
         """Lets the subject go, and clears away what dead holders left."""
-        if _highest(self.folder, self.name) == self.number:
-            for number in _numbers(self.folder, self.name):
-                with contextlib.suppress(OSError):
-                    (self.folder / f"{self.name}.{number}").unlink()
+        with contextlib.suppress(OSError):
+            if _highest(self.folder, self.name) == self.number:
+                for number in _numbers(self.folder, self.name):
+                    (self.folder / f"{self.name}.{number}").unlink(missing_ok=True)
 
 
 def claim(folder: Path, name: str, batch: str) -> Claim | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from typing import Any
 
 from avatarbuild.batch import claims
@@ -18,10 +18,11 @@ log = logging.getLogger(__name__)
 
 PATIENCE = 600.0  # seconds that a scheduler may be gone
 _CONNECT = 10.0
-_ELSEWHERE = 30.0  # seconds that a failed run waits for another worker to appear
+_ELSEWHERE = 120.0  # seconds that a failed run waits for another worker to appear, at least
+_LONELY = 30.0
 
 
-def on_cluster(jobs: list[Job], address: str) -> Iterator[Outcome | None]:
+def on_cluster(jobs: list[Job], address: str) -> Generator[Outcome | None, None, None]:
     """
     Yields each job's outcome as it ends, and None about once a second between.
 
@@ -81,7 +82,7 @@ def build_on_worker(job: Job) -> Outcome:
     return dataclasses.replace(build(given), worker=str(worker.name))
 
 
-def _gathered(client: Any, left: dict[str, Job], refused: dict[str, set[str]]) -> Iterator[Outcome | None]:
+def _gathered(client: Any, left: dict[str, Job], refused: dict[str, set[str]]) -> Generator[Outcome | None, None, None]:
     """
     Hands in what is left and takes jobs out of `left` as they end. refused: the workers, by name, on which a subject
     failed. Raises ConnectionError where the scheduler goes.
@@ -122,7 +123,7 @@ def _gathered(client: Any, left: dict[str, Job], refused: dict[str, set[str]]) -
                 held.append((time.monotonic(), job, None))
         for since, job, last in held.copy():
             others = {address for address, name in workers.items() if name not in refused[job.subject]}
-            if not others and time.monotonic() - since < _ELSEWHERE:
+            if not others and (futures or time.monotonic() - since < _ELSEWHERE):
                 continue
             held.remove((since, job, last))
             if others or last is None:
@@ -132,7 +133,7 @@ def _gathered(client: Any, left: dict[str, Job], refused: dict[str, set[str]]) -
             else:
                 del left[job.subject]
                 yield last
-        if lonely is not None and time.monotonic() - lonely > _ELSEWHERE:
+        if lonely is not None and time.monotonic() - lonely > _LONELY:
             if not workers:
                 log.warning("the scheduler has no workers: start some with `dask worker %s`", client.scheduler.address)
             lonely = None

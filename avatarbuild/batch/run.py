@@ -7,7 +7,7 @@ import logging
 import os
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,20 +62,21 @@ def run_batch(
     with _warnings_on(screen), Board(jobs, screen) as board:
         told = time.monotonic()
         try:
-            for outcome in _outcomes(jobs, means):
-                if outcome is not None:
-                    outcomes[outcome.subject] = outcome
-                    board.ended(outcome)
-                    if time.monotonic() - told > _EVERY:
-                        _write(jobs, outcomes, until, output)
-                        told = time.monotonic()
-                board.look()
+            with contextlib.closing(_outcomes(jobs, means)) as coming:  # Ctrl-C ends the runs before the summary
+                for outcome in coming:
+                    if outcome is not None:
+                        outcomes[outcome.subject] = outcome
+                        board.ended(outcome)
+                        if time.monotonic() - told > _EVERY:
+                            _write(jobs, outcomes, until, output)
+                            told = time.monotonic()
+                    board.look()
         finally:
             made = _write(jobs, outcomes, until, output)
     return made
 
 
-def _outcomes(jobs: list[Job], means: Means) -> Iterator[Outcome | None]:
+def _outcomes(jobs: list[Job], means: Means) -> Generator[Outcome | None, None, None]:
     if means.scheduler is not None:
         return cluster.on_cluster(jobs, means.scheduler)
     shared = workers.share(means.workers, means.threads, means.memory, len(jobs))

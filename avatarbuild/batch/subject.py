@@ -48,6 +48,8 @@ def build(job: Job, stop: threading.Event | None = None) -> Outcome:
             held.release()
     except InputError as error:
         return Outcome(job.subject, "input", str(error), time.monotonic() - begun, 0)
+    except OSError as error:  # no process can be begun, say: this subject's fault and not the batch's end
+        return Outcome(job.subject, "fault", f"{type(error).__name__}: {error}", time.monotonic() - begun, 0)
 
 
 def _run(job: Job, held: Claim, stop: threading.Event) -> Outcome:

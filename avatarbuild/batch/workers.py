@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import logging
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import NamedTuple
@@ -68,7 +68,7 @@ def free_memory() -> int:
     return free
 
 
-def on_this_machine(jobs: list[Job], shared: Share) -> Iterator[Outcome | None]:
+def on_this_machine(jobs: list[Job], shared: Share) -> Generator[Outcome | None, None, None]:
     """
     Yields each job's outcome as it ends, and None about once a second between.
 
