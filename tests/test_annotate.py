@@ -515,6 +515,12 @@ def test_somebody_elses_change_is_not_overwritten(driver: Driver, project: Proje
     assert corrections_bytes(project.corrections()) == corrections_bytes(other)
     driver.tell("document.querySelector('#reload').click()")
     driver.page.wait("globalThis.annotate?.store?.doc.video['0']")
+    # the page also looks when the user comes back to it
+    assert "redoes tracking" in driver.tell("document.querySelector('#next').textContent")
+    project.corrections_file.unlink()
+    driver.tell("dispatchEvent(new Event('focus'))")
+    driver.page.wait("document.querySelector('#conflict').open")
+    driver.tell("annotate.store.saving = 'saved'")
 
 
 def test_the_page_keeps_what_it_does_not_show(driver: Driver, project: Project) -> None:

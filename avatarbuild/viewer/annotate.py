@@ -82,9 +82,12 @@ def page(project: Project, stale: Stale) -> Starlette:
         about |= {"corrections": json.loads(content), "tag": tag, "live": flow is not None and not flow.fault}
         return about | {"stale": stale(project.corrections())}
 
-    async def send_state(_: Request) -> Response:
+    def freshness() -> dict[str, Any]:
+        return {"tag": _content(project)[1], "stale": stale(project.corrections())}
+
+    async def send_state(request: Request) -> Response:
         try:
-            return JSONResponse(await run_in_threadpool(state))
+            return JSONResponse(await run_in_threadpool(state if request.url.path == "/state" else freshness))
         except InputError as error:
             return _fault(409, str(error))
 
@@ -127,6 +130,7 @@ def page(project: Project, stale: Stale) -> Starlette:
 
     routes = [
         Route("/state", send_state),
+        Route("/freshness", send_state),
         Route("/corrections", _refusing(receive), methods=["PUT"]),
         Route("/propagate/{which:int}", _refusing(propagate), methods=["POST"]),
         Route("/picture/{kind}/{part}", send_picture),

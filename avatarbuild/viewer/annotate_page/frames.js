@@ -76,7 +76,7 @@ export class FramesMode {
     return [[`picture/frame/${this.frame}/whole`, [0, 0, ...this.size]], face];
   }
 
-  set frameShown(frame) {
+  open(frame) {
     this.frame = frame;
     this.ask();
   }
@@ -242,7 +242,7 @@ export class FramesMode {
   }
 
   label(id) {
-    return id === null ? "" : `${chainOf(id).name}, point ${id}`;
+    return `${chainOf(id).name}, point ${id}`;
   }
 
   title() {

@@ -73,7 +73,7 @@ function show(tab) {
   }
   find("basis").hidden ||= !mode?.fitted;
   if (mode) {
-    find("reference-name").textContent = tab === "photo" ? "Dashed: the other start" : "Dashed: the tracked head";
+    find("reference-name").textContent = tab === "photo" ? "Dashed: where it started" : "Dashed: the tracked head";
     find("show-reference").checked = mode.reference;
     page.part = "face";
     page.view.fit(mode.part(page.part));
@@ -85,7 +85,7 @@ function show(tab) {
 function openFrame(frame) {
   const mode = page.modes.frames;
   if (frame === null || !mode) return;
-  mode.frameShown = frame;
+  mode.open(frame);
   if (page.view.wanted) page.view.fit(mode.part(page.part));
   const item = page.items.get(frame);
   each("#frames [aria-current]", (old) => old.removeAttribute("aria-current"));
@@ -113,7 +113,7 @@ function told(what) {
   if (!store) return;
   if (what === "conflict") {
     find("conflict-text").textContent = store.fault;
-    find("conflict").showModal();
+    if (!find("conflict").open) find("conflict").showModal();
   }
   const words = { saved: "Saved", unsaved: "Not saved yet", saving: "Saving …", fault: "Not saved", conflict: "Not saved" };
   const saving = find("saving");
@@ -144,7 +144,7 @@ function refresh() {
   find("undo").disabled = !store.done.length;
   find("redo").disabled = !store.undone.length;
   if (!mode) return;
-  find("title").textContent = mode.title();
+  find("title").textContent = mode.title() + (view.selected === null ? "" : ` · ${mode.label(view.selected)}`);
   find("facts").textContent = mode.facts();
   const chosen = view.selected;
   const handle = chosen === null ? null : mode.handles().find((one) => one.id === chosen);
@@ -161,7 +161,8 @@ function refresh() {
   note.hidden = true;
   if (page.tab === "frames") {
     const busy = mode.live && mode.ready < 1 && mode.count() > 0;
-    note.textContent = busy ? `Flow about this frame: ${Math.floor(100 * mode.ready)} %` 
+    note.textContent = busy
+      ? `Flow about this frame: ${Math.floor(100 * mode.ready)} %`
       : mode.fault || (page.notes.flow ?? "");
     note.hidden = !note.textContent;
     find("keep").disabled = !mode.handles().some((one) => one.kind === "carried");

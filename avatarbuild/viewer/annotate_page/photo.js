@@ -92,10 +92,11 @@ export class PhotoMode {
     for (const ring of RINGS) {
       const kind = this.kind(ring);
       if (this.reference) {
-        const prefill = kind === "corrected" || this.base === "detector" ? "fit" : "detector";
+        const other = kind === "corrected" ? this.base : this.base === "fit" ? "detector" : "fit";
         for (const contour of ring.lines) {
-          const points = this.prefills[prefill][contour] ?? (kind === "corrected" && this.prefills.detector[contour]);
-          if (points) lines.push({ points, kind: this.prefills[prefill][contour] && prefill === "fit" ? "fit" : "detected", dashed: true, width: 1.2, faint: true });
+          const points = this.prefills[other][contour];
+          const from = other === "fit" ? "fit" : "detected";
+          if (points) lines.push({ points, kind: from, dashed: true, width: 1.2, faint: true });
         }
       }
       const [upper, lower] = ring.lines;
@@ -164,7 +165,7 @@ export class PhotoMode {
   }
 
   label(id) {
-    return id ? this.ringOf(id).name : "";
+    return this.ringOf(id).name;
   }
 
   title() {

@@ -35,6 +35,7 @@ export class Store {
     this.begun = null;
     this.timer = 0;
     this.version = this.sent = 0;
+    addEventListener("focus", () => this.compare());
     addEventListener("beforeunload", (event) => {
       if (this.saving === "saved") return;
       this.save(true);
@@ -116,6 +117,26 @@ export class Store {
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.save(), PAUSE);
     this.told("edit");
+  }
+
+  // the user comes back to the page: has a run ended, or somebody else changed the file?
+  async compare() {
+    if (this.saving !== "saved") return;
+    const { version } = this;
+    try {
+      const answer = await fetch("freshness");
+      const said = await answer.json();
+      if (this.saving !== "saved" || version !== this.version) return;
+      if (!answer.ok || said.tag !== this.tag) {
+        this.fault = said.fault ?? "corrections.json has been changed elsewhere: load the page again";
+        this.tell("conflict");
+        return;
+      }
+      this.stale = said.stale;
+      this.tell("saved");
+    } catch {
+      // the next saving tells that the program does not answer
+    }
   }
 
   async save(leaving = false) {
