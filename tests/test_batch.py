@@ -411,7 +411,7 @@ def test_worker_killed_scheduler_restarted_disk_full(tmp_path: Path, apart: Clus
     time.sleep(0.5)
     apart.start("scheduler")
     apart.start("three")  # while the others, which have lost their scheduler, still finish what they do
-    batch.join(timeout=150)
+    batch.join(timeout=300)
     assert not batch.is_alive()
     assert {row.state for row in made.values()} == {"done"}, {name: row.message for name, row in made.items()}
     assert len(made) == 5
