@@ -62,7 +62,7 @@ STAGES = (
         ("capture", "cameras", "points", "neutral"),
         artefacts.Albedo,
         options.AlbedoOptions,
-        3,
+        4,
         "the skin's colour without the light",
     ),
     Stage(

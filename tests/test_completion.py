@@ -63,6 +63,21 @@ def test_lids_are_the_photos_up_to_the_rim() -> None:
     assert not np.array_equal(s.whole[sockets > 0.9], s.albedo[sockets > 0.9])
 
 
+def test_unseen_specks_on_lids_are_filled_from_beside_them() -> None:
+    s = scene()
+    lids = s.chart.field(s.template.regions["lids"].astype(np.float32), s.template.triangles) > 0.99
+    sockets = s.chart.field(s.template.regions["sockets"].astype(np.float32), s.template.triangles)
+    from_rim = cv2.distanceTransform((sockets == 0).astype(np.uint8), cv2.DIST_L2, 5)
+    row, column = (int(k[0]) for k in np.nonzero(lids & (s.seen > 0) & (s.x < 0) & (from_rim > 3)))
+    albedo, seen = s.albedo.copy(), s.seen.copy()
+    albedo[row, column], seen[row, column] = 0, 0
+    filled, known = completion._across_specks(albedo, seen, lids, 4.0)
+    around = s.albedo[row - 1 : row + 2, column - 1 : column + 2].reshape(-1, 3)
+    assert known[row, column] == 1
+    assert any(np.array_equal(filled[row, column], colour) for colour in around)
+    assert not albedo[row, column].any()
+
+
 def test_nothing_is_left_empty() -> None:
     s = scene()
     assert (s.whole.max(axis=-1) > 0.0025).all()  # a pupil is 0.003

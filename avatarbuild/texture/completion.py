@@ -25,7 +25,8 @@ from avatarbuild.texture.chart import Chart, continued, draw_chart, seam_ties, t
 _COARSE = 256  # texels of u's grid
 _SEEN_LOW, _SEEN_HIGH = 0.25, 0.5  # of `seen`: nothing below, all above
 _SOFT = 5.0  # mm over which what was seen passes into what was not, inside what was seen
-_SOFT_LIDS, _SOFT_LIPS = 0.8, 3.0  # mm there: lashes and the lips' red end at the rim of eye and mouth
+_SOFT_LIDS, _SOFT_LIPS = 0.8, 4.0  # mm there: lashes and the lips' red end at the rim of eye and mouth
+_SPECK = 0.6  # mm: lids and lips are believed across unseen specks narrower than this
 _RIM = 0.4  # mm over which lids and lips pass into sockets and mouth
 _REACH = 90.0  # mm beyond which the colour goes back to the person's typical one
 _HELD = 30.0  # weight of a texel of u's grid that was seen
@@ -57,7 +58,9 @@ def complete(
     hidden = chart.field(
         (template.regions["mouth"] | template.regions["sockets"]).astype(np.float32), template.triangles
     )
-    weight = _weight(seen * skin, skin, hidden > 0.5, _soft(template, chart), scale)
+    soft = _soft(template, chart)
+    albedo, seen = _across_specks(albedo, seen * skin, skin & (soft < _SOFT), scale)
+    weight = _weight(seen, skin, hidden > 0.5, soft, scale)
     out = skin_texture.astype(np.float32, copy=True)
     if (weight > 0.5).any():
         u = _offset(albedo, weight, skin, skin_texture, template, scale)
@@ -82,6 +85,25 @@ def _soft(template: Template, chart: Chart) -> np.ndarray:
     length[template.regions["lips"]] = _SOFT_LIPS
     length[template.regions["lids"]] = _SOFT_LIDS
     return np.maximum(chart.field(length, template.triangles), _SOFT_LIDS)
+
+
+def _across_specks(
+    albedo: np.ndarray, seen: np.ndarray, where: np.ndarray, scale: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """albedo (s, s, 3) and seen (s, s) with what is narrow and unseen among `where` (s, s) filled from beside it."""
+    good = (seen > (_SEEN_LOW + _SEEN_HIGH) / 2).astype(np.uint8)
+    wide = 2 * round(_SPECK * scale / 2) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (wide, wide))
+    specks = (cv2.morphologyEx(good, cv2.MORPH_CLOSE, disc) > good) & where
+    rows, columns = np.nonzero(specks)
+    if not len(rows):
+        return albedo, seen
+    box = np.s_[max(rows.min() - wide, 0) : rows.max() + wide, max(columns.min() - wide, 0) : columns.max() + wide]
+    albedo, seen = albedo.copy(), seen.copy()
+    near = continued(albedo[box], good[box] > 0, wide)
+    albedo[box][specks[box]] = near[specks[box]]
+    seen[specks] = 1
+    return albedo, seen
 
 
 def _weight(seen: np.ndarray, skin: np.ndarray, hidden: np.ndarray, soft: np.ndarray, scale: float) -> np.ndarray:
