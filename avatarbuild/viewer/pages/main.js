@@ -327,6 +327,8 @@ async function main() {
   avatar.place(null);
   light.use("studio");
   stage.draw(true, 0.5);
+  stage.wait();
+  performance.mark("first picture");
   $("cover").classList.add("gone");
   document.documentElement.dataset.state = "ready";
   stage.run(() => {
