@@ -16,7 +16,6 @@ from avatarbuild.viewer.server import HOST
 
 log = logging.getLogger(__name__)
 
-PORT = 39539  # where VMC's performers send to
 _PICTURES = 60  # messages a second that a page gets at most
 _GONE = (WebSocketDisconnect, RuntimeError)
 
