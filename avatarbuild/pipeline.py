@@ -96,7 +96,7 @@ STAGES = (
         ("capture", "albedo", "tracking", "refinement"),
         artefacts.Details,
         options.DetailsOptions,
-        1,
+        2,
         "wrinkles that follow the expression",
         watches=True,
     ),

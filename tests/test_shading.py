@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import cv2
 import derivatives
 import numpy as np
 import performances
@@ -12,7 +15,7 @@ from avatarbuild.energies import harmonics
 from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.shading import observation, registration
 from avatarbuild.shading.light import Light, clip_light
-from avatarbuild.shading.relief import ReliefWeights, light_seen, relief
+from avatarbuild.shading.relief import ReliefWeights, _Hollow, light_seen, relief
 from avatarbuild.shading.surface import Drawn, draw, fine_skin
 from avatarbuild.simulation.subject import random_subject
 from avatarbuild.stages.refinement import untouched
@@ -76,7 +79,33 @@ def test_bumps_come_back_from_their_shading() -> None:
 
 def test_a_flat_wall_stays_flat() -> None:
     drawn = wall()
-    assert np.abs(relief(drawn, LIGHT.shade(drawn.normal), LIGHT, LENS, CLOSE).d).max() < 1e-6
+    for w in (CLOSE, replace(CLOSE, hollow=1.0)):
+        assert np.abs(relief(drawn, LIGHT.shade(drawn.normal), LIGHT, LENS, w).d).max() < 1e-6
+
+
+def test_a_furrow_under_even_light_is_seen_by_its_darkness() -> None:
+    drawn = wall()
+    even = Light(np.array([0.9, *[0.0] * 8]), np.ones(1))
+    rows = np.mgrid[0 : LENS.size[1], 0 : LENS.size[0]][0]
+    furrow = 0.3 * np.exp(-(((rows - 64) / 3.0) ** 2))
+    reach = 2.4 / (300 / LENS.focal)  # pixels
+    around = cv2.GaussianBlur(furrow, (0, 0), reach)
+    seen = 0.9 * (1 - 0.8 * (furrow - around))
+    blind, told = (relief(drawn, seen, even, LENS, replace(CLOSE, hollow=hollow, reach=2.4)) for hollow in (0.0, 0.8))
+    inner = (slice(20, -20), slice(10, -10))
+    assert np.abs(blind.d).max() < 1e-6
+    assert np.corrcoef(told.d[inner].ravel(), furrow[inner].ravel())[0, 1] > 0.9
+    depth = told.d[64, 48] - told.d[40, 48]
+    assert 0.6 * 0.3 < depth < 1.2 * 0.3
+
+
+def test_hollows_are_measured_against_what_is_about_them() -> None:
+    on = np.ones((60, 80))
+    hollow = _Hollow.of(on, 4.0)
+    rng = np.random.default_rng(5)
+    a, b = rng.standard_normal((2, 60, 80))
+    np.testing.assert_allclose((a * hollow(b)).sum(), (hollow(a) * b).sum(), rtol=1e-9)
+    assert np.abs(hollow(on)[20:-20, 20:-20]).max() < 1e-3
 
 
 def test_l1_keeps_a_crease_sharper_than_squares_do() -> None:
@@ -122,7 +151,7 @@ def test_a_mole_that_all_frames_show_is_skin_and_no_bump() -> None:
     seen = [observation.Seen(i, drawn, grey, np.zeros((*grey.shape, 2), np.float32)) for i in range(4)]
     light = Light(LIGHT.y, np.ones(4))
     more = observation.at_uv(observation.what_all_share(seen, light), drawn.uv)
-    fine = ReliefWeights(light=0.1, small=5e-4, slope=0.1, bend=0.1)
+    fine = ReliefWeights(light=0.1, small=5e-4, slope=0.1, bend=0.1, hollow=1.0)
     high = [np.abs(relief(drawn, light_seen(drawn, grey, 1.0, m), light, LENS, fine).d).max() for m in (more, 0 * more)]
     assert high[0] < 0.1 < high[1]
 

@@ -5,11 +5,14 @@ Shape from shading: displacements d along the view rays that explain the light o
   n = (n0 + Ex d_x + Ey d_y) / |…|,   Ex = v x p0_y / |p0_x x p0_y|,   Ey = p0_x x v / |p0_x x p0_y|          (12)
   min_d  |D B (s(n) - s)/s|^2 + b |B (s(n) - s)/s|^2 + m1 |d|^2 + m2 |D d|^2 + m3 |L d|^2                      (13)
 
-with s(n) = y^T phi(n), s the light that the frame shows (its grey over albedo, openness and exposure), and D, L the
-differences per millimetre. Against the paper: residuals are shares of the light; b, a weak term on the light itself,
-stands where the paper has none (the albedo is freed of what all frames have in common, so that it can be trusted);
-B, a Gaussian, is the light's way through the skin, which blurs what wrinkles show. n0 are the smooth mesh's own
-normals, p0_x and p0_y lie in its tangent plane.
+with s the light that the frame shows (its grey over albedo, openness and exposure), and D, L the differences per
+millimetre. Against the paper:
+- s(n) = y^T phi(n) (1 - k H d), H d = d - G d with a Gaussian G: hollows are dark. A furrow sees less of the room than
+  the skin about it, which under soft light from the front is all that shows it; without the term its dark line is
+  taken for a slope.
+- Residuals are shares of the light; b, a weak term on the light itself, stands where the paper has none (the albedo is
+  freed of what all frames have in common, so that it can be trusted); B, a Gaussian, is the light's way through the
+  skin, which blurs what wrinkles show. n0 are the smooth mesh's own normals, p0_x and p0_y lie in its tangent plane.
 Gauss–Newton; each step by conjugate gradients, preconditioned by the energy with constant coefficients, which the
 cosine transform inverts, so that no matrix is built and nothing is factored.
 """
@@ -32,6 +35,7 @@ _DARK = 0.25  # of the mean light: below it, errors count absolutely
 _OUTLIER = 1.5  # of the logarithm of light: what is off by more is shadow or hair, not relief
 _RIM = 5  # pixels of the face's border that are no evidence
 _STEEP = 0.15
+_OPEN = 0.3, 1.3  # what is believed of 1 - k H d
 _TOLERANCE = 1e-2  # of conjugate gradients
 _TINY = 1e-9
 
@@ -41,6 +45,7 @@ class ReliefWeights:
     """
     light     b, 1/mm^2;  small m1, slope m2, bend m3, lengths in mm
     scatter   mm: standard deviation of B
+    hollow    k, 1/mm;  reach  mm: standard deviation of G
     sharp     slope at which the two smoothness terms turn from squares to l1 (iteratively reweighted); 0: squares
     rounds    of Gauss–Newton;  steps of conjugate gradients in each
     """
@@ -50,6 +55,8 @@ class ReliefWeights:
     slope: float
     bend: float
     scatter: float = 0.8
+    hollow: float = 0.0
+    reach: float = 1.2
     sharp: float = 0.0
     rounds: int = 3
     steps: int = 40
@@ -57,7 +64,7 @@ class ReliefWeights:
 
 MEDIUM = ReliefWeights(light=3.0, small=0.01, slope=0.3, bend=1.0, scatter=0.0)
 """For the refinement of shapes: what a mesh of a few millimetres' spacing can follow; scattered light is finer."""
-FINE = ReliefWeights(light=0.3, small=0.005, slope=0.1, bend=0.1)
+FINE = ReliefWeights(light=0.3, small=0.005, slope=0.1, bend=0.1, hollow=1.0)
 """For detail maps."""
 
 
@@ -90,6 +97,7 @@ def relief(drawn: Drawn, seen: np.ndarray, light: Light, lens: Lens, w: ReliefWe
     h2 = ways.pixel**2
     waves = _waves(on.shape) / h2
     held = _scattered(on, w.scatter / ways.pixel)
+    hollow = _Hollow.of(on, w.reach / ways.pixel)
     d = np.zeros_like(on)
     tight = bent = np.ones_like(on)
 
@@ -97,16 +105,28 @@ def relief(drawn: Drawn, seen: np.ndarray, light: Light, lens: Lens, w: ReliefWe
         return (_dx_t(beside_x * _dx(e)) + _dy_t(beside_y * _dy(e))) / h2 + w.light * sure * e
 
     for turn in range(w.rounds):
-        along_x, along_y, light_now = ways.slopes(d, light)
+        along_x, along_y, bare = ways.slopes(d, light)
+        open_ = np.clip(1 - w.hollow * hollow(d), *_OPEN) if w.hollow else np.ones_like(on)
+        along_x, along_y, light_now, darker = along_x * open_, along_y * open_, bare * open_, w.hollow * bare
         # the blur goes over shares of the light: dark pixels must not hang on what their bright neighbours change
         error = (_scattered(light_now * on, w.scatter / ways.pixel) - held * seen) * share
 
-        def change(x: np.ndarray, ax: np.ndarray = along_x, ay: np.ndarray = along_y) -> np.ndarray:
-            return _scattered((ax * _dx(x) + ay * _dy(x)) * share, w.scatter / ways.pixel)
+        def change(
+            x: np.ndarray, ax: np.ndarray = along_x, ay: np.ndarray = along_y, k: np.ndarray = darker
+        ) -> np.ndarray:
+            lit = ax * _dx(x) + ay * _dy(x)
+            if w.hollow:
+                lit -= k * hollow(x)
+            return _scattered(lit * share, w.scatter / ways.pixel)
 
-        def change_t(e: np.ndarray, ax: np.ndarray = along_x, ay: np.ndarray = along_y) -> np.ndarray:
+        def change_t(
+            e: np.ndarray, ax: np.ndarray = along_x, ay: np.ndarray = along_y, k: np.ndarray = darker
+        ) -> np.ndarray:
             spread = _scattered(e, w.scatter / ways.pixel) * share
-            return _dx_t(ax * spread) + _dy_t(ay * spread)
+            out = _dx_t(ax * spread) + _dy_t(ay * spread)
+            if w.hollow:
+                out -= hollow(k * spread)
+            return out
 
         if w.sharp > 0 and turn:
             tight = 1 / np.sqrt(1 + (_dx(d) ** 2 + _dy(d) ** 2) / h2 / w.sharp**2)
@@ -116,8 +136,10 @@ def relief(drawn: Drawn, seen: np.ndarray, light: Light, lens: Lens, w: ReliefWe
             slopes = w.slope * (_dx_t(tight * _dx(x)) + _dy_t(tight * _dy(x))) / h2
             return w.small * x + slopes + w.bend * _laplace(bent * _laplace(x)) / h2**2
 
-        strength = h2 / 2 * float(np.sum(sure * share**2 * (along_x**2 + along_y**2)) / max(sure.sum(), 1e-9))
-        filtered = strength * waves * (waves + w.light) * np.exp(-(w.scatter**2) * waves)
+        weight = sure * share**2 / max(sure.sum(), _TINY)
+        strength = h2 / 2 * float(np.sum(weight * (along_x**2 + along_y**2))) * waves
+        strength = strength + float(np.sum(weight * darker**2)) * (1 - np.exp(-(w.reach**2) * waves / 2)) ** 2
+        filtered = strength * (waves + w.light) * np.exp(-(w.scatter**2) * waves)
         inverse = 1 / (w.small + w.slope * tight.mean() * waves + w.bend * bent.mean() * waves**2 + filtered)
 
         def normal_equations(x: np.ndarray, change=change, change_t=change_t, smooth=smooth) -> np.ndarray:
@@ -174,6 +196,23 @@ class _Ways:
         g = harmonics.gradient(n, light.y)
         g = (g - n * (g * n).sum(axis=-1, keepdims=True)) / length
         return (g * self.Ex).sum(axis=-1), (g * self.Ey).sum(axis=-1), harmonics.basis(n) @ light.y
+
+
+@dataclass(frozen=True)
+class _Hollow:
+    """H d = d - S G S d within the mask `on` (h, w); S = diag(share), so that H d = 0 for a constant far from borders
+    and H is symmetric; sd of G in pixels."""
+
+    on: np.ndarray
+    share: np.ndarray
+    sd: float
+
+    @staticmethod
+    def of(on: np.ndarray, sd: float) -> _Hollow:
+        return _Hollow(on, on / np.sqrt(np.maximum(_scattered(on, sd), 1e-3)), sd)
+
+    def __call__(self, d: np.ndarray) -> np.ndarray:
+        return np.asarray(self.on * d - self.share * _scattered(d * self.share, self.sd))
 
 
 def _scattered(image: np.ndarray, sd: float) -> np.ndarray:
