@@ -14,6 +14,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import threadpoolctl
+
 from avatarbuild import __version__, artefacts, options
 from avatarbuild.errors import InputError
 from avatarbuild.formats.corrections import Corrections
@@ -287,7 +289,9 @@ def _run_stage(
     started, clock = datetime.now(UTC), time.perf_counter()
     function = importlib.import_module(f"avatarbuild.stages.{stage.name}").run
     inputs = [load(name) for name in stage.needs] or [source]
-    artefact = function(*inputs, chosen, progress, **more)
+    # sums of products come out otherwise on another number of threads; what is worth them is shared out by items
+    with threadpoolctl.threadpool_limits(1, "blas"):
+        artefact = function(*inputs, chosen, progress, **more)
     seconds = time.perf_counter() - clock
     stamp = {
         "stage": stage.name,
