@@ -70,6 +70,11 @@ class Project:
     def log_file(self) -> Path:
         return self.root / "avatarbuild.log"
 
+    @property
+    def clip_folder(self) -> Path:
+        """Where the viewer keeps the video as browsers play it."""
+        return self.root / "view"
+
     def folder(self, stage: str) -> Path:
         """Where a stage's artefact lives."""
         return self.root / stage_folder_name(stage)
@@ -263,8 +268,8 @@ class Project:
             return Path(os.path.abspath(path)).as_posix()
 
     def sizes(self) -> dict[str, int]:
-        """Bytes of every stage folder that exists."""
-        folders = [self.folder(stage) for stage in _STAGE_ORDER]
+        """Bytes of every stage folder that exists, and of the viewer's."""
+        folders = [*(self.folder(stage) for stage in _STAGE_ORDER), self.clip_folder]
         return {
             folder.name: sum(p.stat().st_size for p in folder.rglob("*") if p.is_file())
             for folder in folders

@@ -1,12 +1,10 @@
-"""The capture's video as a browser plays it beside the avatar: small, H.264, upright, made once and kept in a cache."""
+"""The capture's video as a browser plays it beside the avatar: small, H.264, upright, made once a project."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import logging
-import os
-import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,13 +16,13 @@ from avatarbuild.errors import InputError
 from avatarbuild.formats.clip import encode_clip
 from avatarbuild.formats.video import decode_frames, frame_times, open_video
 from avatarbuild.project import Project
+from avatarbuild.whole_file import whole_file
 
 log = logging.getLogger(__name__)
 
 _LONGER = 720  # pixels of the clip's longer side
 _QUALITY = 27  # x264's constant rate factor
 _AS_IT_IS = 3_000_000  # bytes: a smaller clip that browsers play is sent unchanged
-_KEPT = 20  # clips in the cache
 _FORM = 1  # of the clips: another number, other clips
 
 
@@ -38,15 +36,18 @@ def source(project: Project) -> Path | None:
     return path if about["video"] and path.is_file() else None
 
 
-def for_page(video: Path) -> Path:
-    """A file that browsers play: the video where it is small and H.264, else a smaller clip of the same times."""
+def for_page(video: Path, folder: Path) -> Path:
+    """
+    A file that browsers play: the video where it is small and H.264, else a smaller clip of the same times, which is
+    kept in `folder`, or in a temporary one where that cannot be written.
+    """
     about = open_video(video)
     plain = about.codec == "h264" and about.bits == 8 and not about.hdr and not about.rotation and not about.mirrored
     if plain and video.suffix.lower() in (".mp4", ".m4v") and video.stat().st_size <= _AS_IT_IS:
         return video
     stat = video.stat()
     key = f"{_FORM} {video.resolve()} {stat.st_size} {stat.st_mtime_ns}"
-    place = cache() / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.mp4"
+    place = _writable(folder) / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.mp4"
     if place.is_file():
         return place
     log.info("%s: a smaller clip is made for the page", video)
@@ -60,35 +61,19 @@ def for_page(video: Path) -> Path:
             kept.append(time)  # the encoder asks for a frame's time after the frame
             yield cv2.resize(rgb, (w, h), interpolation=cv2.INTER_AREA)
 
-    partial = place.with_name(f".{place.stem}.{os.getpid()}.mp4")
     fps = len(times) / max(about.duration, 1e-6)
-    try:
+    with whole_file(place) as partial:
         encode_clip(partial, small(), fps, quality=_QUALITY, times=kept)
-        partial.replace(place)
-    finally:
-        partial.unlink(missing_ok=True)
-    _prune(place.parent)
+    for other in place.parent.glob("*.mp4"):
+        if other != place:
+            other.unlink(missing_ok=True)
     return place
 
 
-def cache() -> Path:
-    """The user's own cache folder; a new temporary one where it cannot be written."""
-    if os.name == "nt":
-        base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    folder = base / "avatarbuild" / "clips"
+def _writable(folder: Path) -> Path:
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             return folder
     except OSError:
         return Path(tempfile.mkdtemp(prefix="avatarbuild-"))
-
-
-def _prune(folder: Path) -> None:
-    clips = sorted(folder.glob("*.mp4"), key=lambda path: path.stat().st_mtime, reverse=True)
-    for path in clips[_KEPT:]:
-        path.unlink(missing_ok=True)

@@ -87,7 +87,7 @@ def files(project: Project, *, live: int | None) -> dict[str, Content]:
         video = film.source(project)
         about["video"] = video is not None
         if video is not None:
-            table["data/video.mp4"] = lambda: film.for_page(video)
+            table["data/video.mp4"] = lambda: film.for_page(video, project.clip_folder)
         else:
             about["missing"]["video"] = "The video is no longer where project.toml says that the capture is."
     else:
