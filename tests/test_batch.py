@@ -269,6 +269,11 @@ def once(output: Path, count: int) -> None:
         assert words[-2:] == ["begins", "ends"]
 
 
+def _heeding() -> None:
+    """Ctrl-C reaches the program, also where the tests run in a shell's background, which ignores it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_an_interrupted_batch_leaves_nothing_behind(tmp_path: Path, how: signal.Signals) -> None:
@@ -277,7 +282,7 @@ def test_an_interrupted_batch_leaves_nothing_behind(tmp_path: Path, how: signal.
     words = ["batch", tmp_path / "in", "-o", tmp_path / "out", "--until", "capture", "--workers", "1", "--memory", "1"]
     command = [sys.executable, str(ROOT / "cli.py"), *map(str, words)]
     with (tmp_path / "said").open("wb") as said:
-        batch = subprocess.Popen(command, stdout=said, stderr=said, start_new_session=True)
+        batch = subprocess.Popen(command, stdout=said, stderr=said, start_new_session=True, preexec_fn=_heeding)
     children: list[psutil.Process] = []
     deadline = time.monotonic() + 60
     while not (tmp_path / "out" / "s0.avatar" / "avatarbuild.log").exists() and time.monotonic() < deadline:
