@@ -64,7 +64,7 @@ class PointsOptions:
 
     backend: str = option("auto", "auto, cpu, cuda", "PatchMatch on the processor, or COLMAP's on a CUDA card.")
     max_image_size: int = option(
-        1152, "pixels", "Longest side of the images that are matched.", draft=672, high=1600, least=200
+        1152, "pixels", "Longest side of the images that are matched.", draft=576, high=1600, least=200
     )
     sources: int = option(4, "photos", "Source photos each photo is matched against.", least=2)
     window: int = option(5, "pixels", "Half width of the matching window.", least=2)
