@@ -20,6 +20,7 @@ import filelock
 from avatarbuild.errors import InputError
 from avatarbuild.formats.corrections import Corrections, corrections_bytes, read_corrections
 from avatarbuild.template_files import SHIPPED, TemplateFile, resolve
+from avatarbuild.whole_file import whole_file
 
 log = logging.getLogger(__name__)
 
@@ -94,19 +95,11 @@ class Project:
 
     def save_corrections(self, corrections: Corrections) -> None:
         """Raises InputError where the file cannot be written; what was there before stays."""
-        place = self.corrections_file
-        partial = place.with_name(f".{place.name}.{os.getpid()}")
-        try:
-            with partial.open("wb") as f:
-                f.write(corrections_bytes(corrections))
-                f.flush()
-                os.fsync(f.fileno())
-            partial.replace(place)
-        except OSError as error:
-            partial.unlink(missing_ok=True)
-            raise InputError(
-                f"{place} cannot be written ({error.strerror or error}): free some space, or ask for permission"
-            ) from None
+        advice = "free some space, or ask for permission"
+        with whole_file(self.corrections_file, advice) as partial, partial.open("wb") as f:
+            f.write(corrections_bytes(corrections))
+            f.flush()
+            os.fsync(f.fileno())
 
     def stamp(self, stage: str) -> dict[str, Any] | None:
         """What a finished stage left in its stamp.json; None where it has not been run, or the stamp is damaged."""

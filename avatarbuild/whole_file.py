@@ -11,11 +11,12 @@ from avatarbuild.errors import InputError
 
 
 @contextlib.contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
+def whole_file(path: Path, advice: str = "name another file") -> Iterator[Path]:
     """
     A place beside `path`, of the same suffix; what lies there when the block ends well takes the name `path`.
 
-    Raises InputError where it cannot be written: at the beginning, before any work, or at the end.
+    Raises InputError, with `advice` on what to do, where it cannot be written: at the beginning, before any work, or at
+    the end.
     """
     partial = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
@@ -25,7 +26,7 @@ def whole_file(path: Path) -> Iterator[Path]:
     except OSError as error:
         if error.filename not in (None, str(partial), str(path)):
             raise
-        raise InputError(f"{path}: cannot be written ({error.strerror or error}); name another file") from None
+        raise InputError(f"{path} cannot be written ({error.strerror or error}): {advice}") from None
     finally:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
-import psutil
+from avatarbuild.batch.subject import held_memory
 
 CLI = Path(__file__).parent.parent / "cli.py"
 
@@ -30,30 +30,15 @@ def run(words: list, environment: dict[str, str] | None = None) -> Cost:
     process = subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env={**os.environ, **(environment or {})}
     )
-    top = psutil.Process(process.pid)
     while True:
         try:
             _, said = process.communicate(timeout=0.2)
             break
         except subprocess.TimeoutExpired:
-            peak = max(peak, _held(top))
+            peak = max(peak, held_memory(process.pid))
     after = os.times()
     used = after.children_user + after.children_system - before.children_user - before.children_system
     if process.returncode:
         line = said.decode(errors="replace").strip().splitlines()[-1:]
         print(f"{words[0]} ended with {process.returncode}: {line}", file=sys.stderr)
     return Cost(time.perf_counter() - begun, used, peak / 1e9, process.returncode)
-
-
-def _held(top: psutil.Process) -> int:
-    total = 0
-    try:
-        family = [top, *top.children(recursive=True)]
-    except psutil.Error:
-        return 0
-    for one in family:
-        try:
-            total += one.memory_info().rss
-        except psutil.Error:
-            continue
-    return total

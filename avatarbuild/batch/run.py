@@ -18,6 +18,7 @@ from avatarbuild.batch import cluster, summary, workers
 from avatarbuild.batch.board import Board
 from avatarbuild.batch.jobs import Job, Outcome, find_captures
 from avatarbuild.errors import InputError
+from avatarbuild.whole_file import whole_file
 
 _EVERY = 60.0  # seconds between two summaries while the batch runs
 
@@ -87,12 +88,8 @@ def _write(jobs: list[Job], outcomes: dict[str, Outcome], until: str | None, out
     made = summary.rows(jobs, outcomes, until)
     projects = {job.subject: job.project for job in jobs}
     for name, data in (("summary.csv", summary.table(made)), ("index.html", summary.page(made, projects))):
-        partial = output / f".{name}.{os.getpid()}"
-        try:
+        with whole_file(output / name, "free some space") as partial:
             partial.write_bytes(data)
-            partial.replace(output / name)
-        except OSError as error:
-            raise InputError(f"{output / name} cannot be written ({error.strerror}): free some space") from None
     return made
 
 

@@ -70,7 +70,7 @@ def _run(job: Job, held: Claim, stop: threading.Event) -> Outcome:
         )
         try:
             while run.poll() is None:
-                used = _memory(run.pid)
+                used = held_memory(run.pid)
                 peak = max(peak, used)
                 ended = _must_end(job, used, time.monotonic() - begun)
                 if not ended and (stop.is_set() or not held.holds()):
@@ -102,7 +102,7 @@ def _must_end(job: Job, used: int, seconds: float) -> tuple[str, str] | None:
     return None
 
 
-def _memory(process: int) -> int:
+def held_memory(process: int) -> int:
     """Bytes that a process and its children hold in memory; 0 where it has just ended."""
     total = 0
     try:
