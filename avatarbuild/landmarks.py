@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import struct
 import tempfile
+import threading
 import zipfile
 from collections import deque
 from collections.abc import Iterator
@@ -252,7 +253,8 @@ class _Network:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "network.tflite"
             path.write_bytes(data)
-            self.net = cv2.dnn.readNetFromTFLite(str(path), engine=cv2.dnn.ENGINE_CLASSIC)
+            with _reading:
+                self.net = cv2.dnn.readNetFromTFLite(str(path), engine=cv2.dnn.ENGINE_CLASSIC)
         self.outputs = outputs
 
     def run(self, value: np.ndarray) -> list[np.ndarray]:
@@ -263,6 +265,8 @@ class _Network:
 
 
 _idle: deque[dict[str, _Network]] = deque()
+# OpenCV fills its table of operators when the first network is read: a second reader beside it finds half a table
+_reading = threading.Lock()
 
 
 def _archive() -> Path:

@@ -33,13 +33,21 @@ def contents(project: Path) -> dict[str, bytes]:
 
 def start(capture: Path, project: Path) -> subprocess.Popen[bytes]:
     command = [sys.executable, str(ROOT / "cli.py"), "run", str(capture), "-o", str(project), *DRAFT]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    environment = {**os.environ, "AVATARBUILD_TRACEBACK": "1"}
+    with project.with_name(f"{project.name} said").open("ab") as said:
+        return subprocess.Popen(command, stdout=said, stderr=said, env=environment)
+
+
+def finish(capture: Path, project: Path) -> None:
+    code = start(capture, project).wait()
+    said = project.with_name(f"{project.name} said").read_text(errors="replace")
+    assert code == 0, f"{code}: {said[-8000:]}"
 
 
 def prove(capture: Path, folder: Path, kills: int, seed: int) -> None:
     """Kills `kills` runs at random moments and compares what they end in with an unbroken run."""
     clock = time.monotonic()
-    assert start(capture, folder / "whole").wait() == 0
+    finish(capture, folder / "whole")
     length = time.monotonic() - clock
     whole = contents(folder / "whole")
     assert "avatar/avatar.glb" in whole
@@ -50,7 +58,7 @@ def prove(capture: Path, folder: Path, kills: int, seed: int) -> None:
         time.sleep(rng.uniform(0, length))
         run.kill()
         run.wait()
-        assert start(capture, project).wait() == 0
+        finish(capture, project)
         again = contents(project)
         assert sorted(again) == sorted(whole)
         different = [name for name in whole if whole[name] != again[name]]

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import pytest
 from captures import benchmark_photo
 from media import texture
 
@@ -85,6 +87,24 @@ def test_no_face_in_noise_and_in_nothing() -> None:
     assert not [face for face in find_faces(texture(300, 200)) if face.presence > 0.9]
     assert detect(np.zeros((50, 80, 3), np.uint8)) == []
     assert find_faces(np.zeros((1, 1, 3), np.uint8)) == []
+
+
+def test_networks_are_read_one_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """OpenCV's reader is not safe beside another one: it may say that it knows no operator of the network."""
+    readers: list[int] = []
+    most = []
+
+    def read(*_: object, **__: object) -> None:
+        readers.append(0)
+        most.append(len(readers))
+        time.sleep(0.01)
+        readers.pop()
+
+    monkeypatch.setattr(landmarks.cv2.dnn, "readNetFromTFLite", read)
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda _: landmarks._load(), range(4)))
+    assert len(most) == 12
+    assert max(most) == 1
 
 
 def test_threads_find_the_same_bits() -> None:
