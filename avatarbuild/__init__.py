@@ -10,3 +10,6 @@ __version__ = "0.1.0"
 # OpenMP threads that wait by spinning take the cores from whatever else runs on the machine.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 os.environ.setdefault("NUMBA_THREADING_LAYER", "omp")
+
+# COLMAP would leave a log of every run in the machine's folder of temporary files.
+os.environ.setdefault("GLOG_minloglevel", "3")

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pycolmap
@@ -253,3 +255,11 @@ def test_python_s_zlib_works_beside_pycolmap() -> None:
     code = "import avatarbuild, pycolmap, zlib\nfor i in range(200):\n    zlib.compress(bytes(5000 * i))\n"
     code += "    c = zlib.compressobj(); c.compress(bytes(5000 * i)); c.flush()"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0
+
+
+def test_colmap_leaves_no_log_in_the_folder_of_temporary_files(tmp_path: Path) -> None:
+    program = "import avatarbuild, pycolmap; pycolmap.logging.info('a'); pycolmap.logging.error('b')"
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    run = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, check=True)
+    assert run.stderr == b""
+    assert list(tmp_path.iterdir()) == []
