@@ -15,7 +15,7 @@ from avatarbuild.artefacts import Albedo, Blendshapes, Performance, Refinement
 from avatarbuild.details.synthesis import Synthesis
 from avatarbuild.errors import InputError
 from avatarbuild.formats.clip import encode_clip
-from avatarbuild.formats.details import JSON_FILE, read_details
+from avatarbuild.formats.details import details_in, read_details
 from avatarbuild.formats.weights import read_weights
 from avatarbuild.progress import Progress
 from avatarbuild.project import Project
@@ -87,10 +87,8 @@ def rig_of(project: Project) -> Blendshapes:
 
 def own_details(project: Project, template: Template) -> Synthesis | None:
     """The details in the project's avatar folder, None without; InputError where they are damaged."""
-    folder = project.folder("avatar") / "details"
-    if not (folder / JSON_FILE).is_file():
-        return None
-    return read_details({path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}, template)
+    files = details_in(project.folder("avatar") / "details")
+    return read_details(files, template) if files else None
 
 
 def _albedo(project: Project) -> Albedo:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from pathlib import Path
 from typing import Any
 
 from avatarbuild.animation.clip import rig_of
 from avatarbuild.artefacts import Avatar
 from avatarbuild.details.edges import lengths
 from avatarbuild.errors import InputError
-from avatarbuild.formats.details import JSON_FILE, read_details
+from avatarbuild.formats.details import JSON_FILE, details_in, read_details
 from avatarbuild.project import Project
 
 _FOLDER = "details/"
@@ -49,10 +48,10 @@ def _details(project: Project) -> dict[str, bytes]:
     """File name -> bytes of a project's details."""
     if project.stamp("avatar") is None:
         raise InputError(f"{project.root} has no finished avatar: run `avatarbuild run` on its capture first")
-    folder: Path = project.folder("avatar") / _FOLDER
-    if not (folder / JSON_FILE).is_file():
+    files = details_in(project.folder("avatar") / _FOLDER)
+    if not files:
         raise InputError(f"{project.root} has no details: they come from a capture with a video; run it again")
-    return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.is_file()}
+    return files
 
 
 def _listed(files: dict[str, bytes]) -> bytes:

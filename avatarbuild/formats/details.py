@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -74,6 +75,13 @@ def details_files(made: Synthesis) -> dict[str, bytes]:
     }
     files[JSON_FILE] = (json.dumps(about, ensure_ascii=False, allow_nan=False) + "\n").encode()
     return files
+
+
+def details_in(folder: Path) -> dict[str, bytes]:
+    """File name -> bytes of the details that lie in a folder, as `read_details` takes them; empty where none do."""
+    if not (folder / JSON_FILE).is_file():
+        return {}
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.is_file()}
 
 
 def read_details(files: Mapping[str, bytes], template: Template) -> Synthesis:

@@ -9,7 +9,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pycolmap
-import threadpoolctl
 
 from avatarbuild.artefacts import Cameras, Capture
 from avatarbuild.errors import InputError
@@ -121,7 +120,7 @@ def _match(features: list[Features], options: CamerasOptions, progress: Progress
     pairs = matching.choose_pairs(alike, options.overlap, options.loop_pairs, options.exhaustive_up_to)
     units = [matching.unit_descriptors(f.descriptors) for f in features]
     found = {}
-    with progress.task("matches", len(pairs)) as task, threadpoolctl.threadpool_limits(1, "blas"):
+    with progress.task("matches", len(pairs)) as task:
         results = in_order(lambda pair: matching.match(units[pair[0]], units[pair[1]]), pairs)
         for pair, matches in zip(pairs, results):
             if len(matches) >= LEAST_MATCHES:
