@@ -64,7 +64,7 @@ STAGES = (
         ("capture", "cameras", "points", "neutral"),
         artefacts.Albedo,
         options.AlbedoOptions,
-        4,
+        5,
         "the skin's colour without the light",
     ),
     Stage(
@@ -107,7 +107,7 @@ STAGES = (
         ("capture", "cameras", "points", "neutral", "albedo", "blendshapes", "tracking", "refinement", "details"),
         artefacts.Avatar,
         options.AvatarOptions,
-        1,
+        2,
         "avatar.glb, avatar.json, report.html",
         reports=True,
     ),

@@ -389,6 +389,8 @@ def test_skin_wears_the_albedo() -> None:
     image = gltf.tree["images"][gltf.tree["textures"][surface["baseColorTexture"]["index"]]["source"]]
     assert gltf.view(image["bufferView"]) == encode_jpeg(albedo.albedo, OPTIONS.albedo_quality)
     assert {"normalTexture", "occlusionTexture"} <= set(skin)
+    teeth = gltf.tree["materials"][primitive(gltf, "teeth_upper")["material"]]
+    assert teeth["occlusionTexture"] == skin["occlusionTexture"]
     files = built().files
     assert np.array_equal(decode_png(files["albedo.png"]), albedo.albedo)
     assert np.array_equal(decode_png(files["coverage.png"]), albedo.coverage)

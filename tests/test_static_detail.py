@@ -93,8 +93,22 @@ def test_maps_of_a_flat_colour_are_flat_and_open_in_front() -> None:
     nose = s.template.landmarks(s.template.mean)[4]
     position = s.chart.field(s.template.mean, s.template.triangles)
     assert np.median(made.occlusion[np.linalg.norm(position - nose, axis=-1) < 3]) > 235
-    assert (made.occlusion[s.chart.part != 1] == 255).all()
-    assert made.occlusion[s.chart.part == 1].min() >= 76
+    eyes = [number for number, part in enumerate(s.template.parts, 1) if part.startswith("eye_")]
+    assert (made.occlusion[np.isin(s.chart.part, eyes)] == 255).all()
+    mouth = s.chart.field(s.template.regions["mouth"].astype(np.float32), s.template.triangles) > 0
+    assert made.occlusion[(s.chart.part == 1) & ~mouth].min() >= 76
+
+
+def test_the_mouth_is_darker_the_farther_in() -> None:
+    template = scene().template
+    open_ = static_detail.mouth_openness(template)
+    assert not open_[template.parts["eye_left"].vertices].any()
+    for part, least in (("teeth_upper", 0.4), ("teeth_lower", 0.3), ("tongue", 0.1)):
+        vertices = template.parts[part].vertices
+        depth, value = template.mean[vertices, 2], open_[vertices]
+        front = value[depth > np.percentile(depth, 90)]
+        assert front.max() > least
+        assert np.median(value[depth < np.percentile(depth, 40)]) < 0.25 * front.max()
 
 
 def test_normals_lean_away_from_a_rise() -> None:

@@ -112,7 +112,7 @@ def frame(
     camera = np.concatenate([relief @ seen.rotation.T.astype(np.float32), smooth[..., 3:]], axis=-1)
     on_skin = model.skin[triangle]
     near = occlusion(seen.raster.depth, np.ascontiguousarray(smooth @ _wide(seen.rotation)), seen.focal)
-    hollow = shaded_hollows(np.where(on_skin, np.minimum(dark, 0.5 + 0.5 * near), near), model.skin_colour)
+    hollow = shaded_hollows(np.where(on_skin, np.minimum(dark, 0.5 + 0.5 * near), dark * near), model.skin_colour)
     image = still[..., :3] * hollow
     if isinstance(light, Light):
         linear = lit(seen.raster.depth, camera, image, light, seen.focal)

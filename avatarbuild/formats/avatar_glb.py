@@ -253,8 +253,9 @@ def _targets(
 
 
 def _materials(writer: Writer, template: Template, pictures: Pictures) -> dict[str, int]:
-    """Part -> material. All parts but the eyes take their colour from the albedo."""
+    """Part -> material. All parts but the eyes take their colour from the albedo, and their occlusion."""
     albedo, eye = writer.texture(pictures.albedo, "albedo"), writer.texture(pictures.eye, "eye")
+    occlusion = writer.texture(pictures.occlusion, "occlusion")
     made: dict[str, int] = {}
     of_look: dict[str, int] = {}
     for part in template.parts:
@@ -270,7 +271,8 @@ def _materials(writer: Writer, template: Template, pictures: Pictures) -> dict[s
             }
             if part == "skin":
                 material["normalTexture"] = {"index": writer.texture(pictures.normal, "normal")}
-                material["occlusionTexture"] = {"index": writer.texture(pictures.occlusion, "occlusion")}
+            if part not in EYES:
+                material["occlusionTexture"] = {"index": occlusion}
             of_look[look.name] = writer.add("materials", material)
         made[part] = of_look[look.name]
     return made

@@ -1,5 +1,8 @@
 """The neutral head's fine relief and its own shadow: a tangent-space normal map and an occlusion map.
 
+The skin's occlusion is that of the head at rest. Teeth, gums, tongue and the mouth's walls are seen when it is open:
+theirs is that of the mean head, at the more open one of two expressions that show them.
+
 Two sources of height h over the mesh, in millimetres: what the point cloud says beyond the mesh, as far as it stands
 above its own noise; and pores, from the fine band of the albedo: dark is deep. The normal in tangent space is
 (-dh/dx, -dh/dy, 1), normalised, x along growing u, y along growing v (up), on the surface in millimetres.
@@ -18,16 +21,22 @@ import igl
 import numpy as np
 
 from avatarbuild.geometry.meshes import vertex_normals
-from avatarbuild.template import Template
+from avatarbuild.template import Template, expression_weights
 from avatarbuild.texture import occlusion
-from avatarbuild.texture.chart import Chart, draw_chart
+from avatarbuild.texture.chart import Chart, continued, draw_chart
 
 _CLOUD_GRID = 1024  # texels of the cloud's relief: points are half a millimetre apart
 _NEAR = 1.5  # mm from the mesh beyond which a point says nothing of its relief
 _SPLAT = 0.7  # mm: standard deviation of the blur that carries points to texels
 _WIDE = 6.0  # mm: longer waves are the mesh's own
 _STEEPEST = 0.6  # slope at which relief is bent down
-_LEAST_OPEN, _HOLLOW = 0.3, 0.55  # least openness of the skin, and of mouth and sockets: other expressions open them
+_LEAST_OPEN, _SOCKET = 0.3, 0.55  # least openness of the skin, and of the sockets: other expressions open them
+_LEAST_INSIDE = 0.2  # of the mouth: light from before the face reaches farther in than that of a whole sky
+_SHOWN = (  # expressions that show what is in the mouth
+    expression_weights(jawOpen=1.0),
+    expression_weights(jawOpen=0.15, mouthSmile=0.7, mouthUpperUp=0.6, mouthLowerDown=0.6),
+)
+_INNER = ("teeth_upper", "teeth_lower", "gums", "tongue")
 
 
 @dataclass(frozen=True)
@@ -67,7 +76,7 @@ def maps(
     """
     The maps of a neutral head: vertices (n, 3) mm, points (k, 3) mm of the cloud in the same frame, albedo (s, s, 3)
     linear, seen (s, s) in [0, 1], openness (n,) of the vertices as `occlusion.of_vertices` gives it (found again where
-    None). Flat and open on all parts but the skin.
+    None). Flat on all parts but the skin; the eyes are open.
     """
     w = DetailWeights() if weights is None else weights
     chart = draw_chart(template, template.uv, template.uv_triangles, size)
@@ -84,7 +93,7 @@ def maps(
         openness, _ = occlusion.of_vertices(vertices, template.triangles, template.parts["skin"].vertices)
     dark = _occlusion(template, chart, openness)
     inside = cv2.erode(skin.astype(np.uint8), np.ones((3, 3))) > 0
-    return StaticDetail(_normals(relief, metric, inside), np.where(skin, dark, 255).astype(np.uint8), relief)
+    return StaticDetail(_normals(relief, metric, inside), dark, relief)
 
 
 def cloud_relief(template: Template, vertices: np.ndarray, points: np.ndarray, size: int) -> np.ndarray:
@@ -210,10 +219,33 @@ def _normals(relief: np.ndarray, metric: np.ndarray, inside: np.ndarray) -> np.n
 
 
 def _occlusion(template: Template, chart: Chart, openness: np.ndarray) -> np.ndarray:
-    """(d, d) in 0..255."""
-    hidden = template.regions["mouth"] | template.regions["sockets"]
-    value = np.maximum(openness, np.where(hidden, _HOLLOW, _LEAST_OPEN))
-    return np.round(255 * np.clip(chart.field(value.astype(np.float32), template.triangles), 0, 1))
+    """(d, d) uint8, 255 open; about every part its own values go on, for filters that reach over its border."""
+    value = np.maximum(openness, np.where(template.regions["sockets"], _SOCKET, _LEAST_OPEN))
+    inside = _in_the_mouth(template)
+    value[inside] = np.maximum(mouth_openness(template), _LEAST_INSIDE)[inside]
+    drawn = np.round(255 * np.clip(chart.field(value.astype(np.float32), template.triangles), 0, 1))
+    return continued(drawn.astype(np.uint8)[..., None], chart.part > 0)[..., 0]
+
+
+def mouth_openness(template: Template) -> np.ndarray:
+    """(n,) ambient occlusion, 1 open, of the mean head's inside of the mouth; 0 elsewhere."""
+    inside = _in_the_mouth(template)
+    open_ = np.zeros(len(inside))
+    for weights in _SHOWN:
+        posed = template.pose(template.mean, weights)
+        normals = vertex_normals(posed, template.triangles)[inside]
+        here, _ = occlusion.ambient(posed, template.triangles, posed[inside], normals)
+        open_[inside] = np.maximum(open_[inside], here)
+    return open_
+
+
+def _in_the_mouth(template: Template) -> np.ndarray:
+    """(n,) bool: teeth, gums, tongue and the skin within the lips."""
+    inside = template.regions["mouth"].copy()
+    for name in _INNER:
+        if name in template.parts:
+            inside[template.parts[name].vertices] = True
+    return inside
 
 
 def _resized(image: np.ndarray, size: int) -> np.ndarray:
