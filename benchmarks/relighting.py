@@ -129,7 +129,7 @@ def video(folder: Path, capture: Capture, made: Albedo, truth: Path | None, pict
     w, h = performance.size
     K = np.array([[performance.focal, 0, w / 2], [0, performance.focal, h / 2], [0, 0, 1]])
     textures = {name: build_mipmap(linear_picture(getattr(made, name))) for name in ("fused", "albedo")}
-    true = true_video(truth) if truth is not None and (truth / "video.npz").exists() else None
+    true = true_video(truth) if truth is not None else None
     values: dict[str, list[tuple[float, float]]] = {}
     for row in rows:
         f = int(performance.processed[row])

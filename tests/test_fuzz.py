@@ -57,7 +57,7 @@ class Runner:
         self.process: subprocess.Popen[str] | None = None
         self.answers: queue.Queue[str] = queue.Queue()
 
-    def __call__(self, words: list[str]) -> dict[str, Any]:
+    def __call__(self, words: list[str], limit: float = LIMIT) -> dict[str, Any]:
         if self.process is None or self.process.poll() is not None:
             environment = {**os.environ, "AVATARBUILD_TRACEBACK": ""}
             self.process = subprocess.Popen(
@@ -75,7 +75,7 @@ class Runner:
         self.process.stdin.write(json.dumps(words) + "\n")
         self.process.stdin.flush()
         try:
-            answer = self.answers.get(timeout=LIMIT)
+            answer = self.answers.get(timeout=limit)
         except queue.Empty:
             self.process.kill()
             self.process.wait()
@@ -409,7 +409,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory, program: Runner) -> Path:
     if named:
         shutil.copytree(named, project)
         words += ["--until", "capture"]
-    made = program(words)
+    made = program(words, limit=6 * LIMIT)
     assert made["code"] == 0, made["text"]
     return project
 

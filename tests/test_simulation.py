@@ -251,6 +251,15 @@ def test_truth_holds_what_a_scorer_needs(small):
         assert light["photo_env"].shape == (96, 192, 3)
 
 
+def test_photos_alone_leave_a_video_of_no_frames():
+    with np.load(synthetic.truth_folder(synthetic.capture(photos=6)) / "video.npz") as video:
+        m = video["delta"].shape[1]
+        assert video["delta"].shape == (0, m, 3)
+        assert video["weights"].shape == (0, 52)
+        assert video["cam_R"].shape == (0, 3, 3)
+    assert m > 9000
+
+
 def test_photos_show_the_face_where_the_truth_says():
     """The shipped landmark network finds the inner landmarks of a frontal photo near their true places."""
     from avatarbuild.landmarks import find_faces

@@ -16,7 +16,7 @@ from avatarbuild.options import option
 from avatarbuild.progress import Progress, Silent
 from avatarbuild.simulation import truth
 from avatarbuild.simulation.light import Light, changed
-from avatarbuild.simulation.performance import PIVOT, Performance, perform
+from avatarbuild.simulation.performance import NO_PERFORMANCE, PIVOT, Performance, perform
 from avatarbuild.simulation.photographs import Shot, develop, sweep, write_photo
 from avatarbuild.simulation.rendering import Camera, draw
 from avatarbuild.simulation.studio import Studio, build_studio, posed_head, surroundings
@@ -124,7 +124,7 @@ def simulate(
                 shots.append(photo.shot)
                 turns.append(photo.turn)
                 task.advance()
-    record = None
+    record, performance = None, NO_PERFORMANCE
     if o.video_seconds > 0:
         (folder / "video").mkdir()
         size = (o.video_width, even(o.video_width * 16 / 9))
@@ -137,12 +137,12 @@ def simulate(
                     yield rgb
 
             encode_clip(folder / "video" / "MOV_0001.mp4", frames(), o.video_fps, quality=o.video_quality)
-        truth.write_video(beside, studio.head.subject, order, performance)
         _write_key_normals(beside, studio, performance, order)
         record = truth.video_record("MOV_0001.mp4", performance)
     names = [f"IMG_{i + 1:04d}.JPG" for i in range(len(shots))]
     truth.write_cameras(beside, shots, names, np.array(turns).reshape(-1, 4, 4), record)
     truth.write_mesh(beside, studio.head.subject, order)
+    truth.write_video(beside, studio.head.subject, order, performance)
     truth.write_visibility(beside, counts, order, studio.head.chart)
     truth.write_albedo(beside, studio.head)
     truth.write_light(beside, lit, later, exposure)

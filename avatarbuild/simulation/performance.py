@@ -59,6 +59,9 @@ class Performance:
     fps: float
 
 
+NO_PERFORMANCE = Performance(np.zeros((0, len(ARKIT_NAMES))), np.zeros((0, 4, 4)), [], 0.0)
+
+
 def perform(rng: np.random.Generator, seconds: float, fps: float, size: tuple[int, int]) -> Performance:
     """A clip of `seconds` at `fps`, `size` (w, h); the subject starts at rest."""
     f = max(round(seconds * fps), 1)

@@ -145,7 +145,7 @@ def video_record(name: str, performance: Performance) -> dict[str, Any]:
 
 
 def write_video(folder: Path, subject: Subject, order: Order, performance: Performance) -> None:
-    """video.npz: poses, cameras, vertex motion, weights and landmarks of every frame."""
+    """video.npz: poses, cameras, vertex motion, weights and landmarks of every frame; of none without a video."""
     f, m = len(performance.weights), min(SKIN, len(order.vertex))
     delta = np.empty((f, m, 3), np.float16)
     points, seen = np.empty((f, 68, 2), np.float32), np.empty((f, 68), bool)
@@ -159,21 +159,21 @@ def write_video(folder: Path, subject: Subject, order: Order, performance: Perfo
         pixels, _ = camera.project(world[marks])
         points[i] = pixels - 0.5
         seen[i] = visible(camera, world, subject.template.triangles, tolerance=1.5, facing=False)[marks]
-    camera = performance.cameras[0]
+    first = performance.cameras[:1]
     names = np.array(subject.template.expression_names)
     folded = [gains(dict(zip(names.tolist(), w.tolist(), strict=True))) for w in performance.weights]
     _save(
         folder / "video.npz",
         head_pose=performance.head_pose,
-        cam_R=np.stack([c.R for c in performance.cameras]),
-        cam_t=np.stack([c.t for c in performance.cameras]),
-        K=_integer_centres(camera.K),
-        dist=camera.dist,
+        cam_R=np.array([c.R for c in performance.cameras]).reshape(f, 3, 3),
+        cam_t=np.array([c.t for c in performance.cameras]).reshape(f, 3),
+        K=_integer_centres(first[0].K) if first else np.eye(3),
+        dist=first[0].dist if first else np.zeros(5),
         delta=delta,
         weights=performance.weights.astype(np.float32),
         names=names,
         arkit=names,
-        wrinkle_gain=np.array([[g[name] for name in GROUPS] for g in folded], np.float32),
+        wrinkle_gain=np.array([[g[name] for name in GROUPS] for g in folded], np.float32).reshape(f, len(GROUPS)),
         wrinkle_names=np.array(list(GROUPS)),
         landmarks68=points,
         landmarks68_visible=seen,
