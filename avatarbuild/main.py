@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import rich.console
 import rich.markup
@@ -18,14 +18,17 @@ import rich.progress
 import rich.table
 import typer
 
-from avatarbuild import __version__, pipeline
+from avatarbuild import __version__
 from avatarbuild import options as all_options
 from avatarbuild.errors import InputError
-from avatarbuild.formats.corrections import Corrections
 from avatarbuild.progress import Task
 from avatarbuild.project import Project, default_project, digest_files
 from avatarbuild.template_files import SHIPPED, resolve
 from avatarbuild.whole_file import whole_file
+
+if TYPE_CHECKING:  # what is heavy is imported by the verb that uses it
+    from avatarbuild import pipeline
+    from avatarbuild.formats.corrections import Corrections
 
 DONE, FAULT, BAD_INPUT, STOPPED = 0, 1, 2, 130
 JSON_VERSION = 1
@@ -134,6 +137,7 @@ def run(
     as_json: Json = False,
 ) -> None:
     """Build the avatar of a capture; go on where the project left off."""
+    from avatarbuild import pipeline
     from avatarbuild.capture_folder import open_capture
 
     what = pipeline.plan(first, until, only, force)
@@ -217,6 +221,7 @@ def _states(project: Project, alone: bool = False) -> list[pipeline.StageState]:
     The state of every stage; stale, with a warning, where the capture or the head template is gone. `alone`: a project
     whose capture is gone is as fresh as when it was last seen with it.
     """
+    from avatarbuild import pipeline
     from avatarbuild.capture_folder import open_capture
 
     capture = project.root / project.settings().get("capture", "")
@@ -268,6 +273,7 @@ def batch(
     as_json: Json = False,
 ) -> None:
     """Build the avatars of many captures; go on where an earlier batch left off."""
+    from avatarbuild import pipeline
     from avatarbuild.batch.run import Means, run_batch
 
     pipeline.plan(None, until, None, False)  # what is wrong for all is said once
@@ -319,7 +325,7 @@ def track(
     as_json: Json = False,
 ) -> None:
     """The performance in new footage on a built avatar, as track.csv or track.json."""
-    from avatarbuild import new_footage
+    from avatarbuild import new_footage, pipeline
     from avatarbuild.formats.track import track_bytes
 
     writer = track_bytes(output)
@@ -352,6 +358,7 @@ def annotate(
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
 ) -> None:
     """Put contours on the frontal photo and points in the video right by hand, on a page in the browser."""
+    from avatarbuild import pipeline
     from avatarbuild.viewer import annotate as page
 
     project = _existing(project_folder)
@@ -373,6 +380,8 @@ def clean(
     ] = None,
 ) -> None:
     """Show what a project takes on disk; with --stage, delete that."""
+    from avatarbuild import pipeline
+
     project = _existing(project_folder)
     for stage in stages or []:
         if stage not in pipeline.NAMES:

@@ -13,14 +13,16 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import filelock
 
 from avatarbuild.errors import InputError
-from avatarbuild.formats.corrections import Corrections, corrections_bytes, read_corrections
 from avatarbuild.template_files import SHIPPED, TemplateFile, resolve
 from avatarbuild.whole_file import whole_file
+
+if TYPE_CHECKING:
+    from avatarbuild.formats.corrections import Corrections
 
 log = logging.getLogger(__name__)
 
@@ -87,6 +89,8 @@ class Project:
 
     def corrections(self) -> Corrections:
         """Raises InputError where the file is not what docs/formats.md describes."""
+        from avatarbuild.formats.corrections import Corrections, read_corrections
+
         try:
             data = self.corrections_file.read_bytes()
         except FileNotFoundError:
@@ -95,6 +99,8 @@ class Project:
 
     def save_corrections(self, corrections: Corrections) -> None:
         """Raises InputError where the file cannot be written; what was there before stays."""
+        from avatarbuild.formats.corrections import corrections_bytes
+
         advice = "free some space, or ask for permission"
         with whole_file(self.corrections_file, advice) as partial, partial.open("wb") as f:
             f.write(corrections_bytes(corrections))

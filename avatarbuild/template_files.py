@@ -7,11 +7,12 @@ import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from avatarbuild.errors import InputError
-from avatarbuild.template import PART_NAMES, Template, template_folder
+
+if TYPE_CHECKING:  # numpy and scipy are imported where a template is read
+    from avatarbuild.template import Template
 
 SHIPPED = "head"
 
@@ -25,7 +26,7 @@ class TemplateFile:
     @property
     def shipped(self) -> bool:
         """Whether it came with the program."""
-        return self.path == template_folder() / "head.npz"
+        return self.path == _shipped_head()
 
     @cached_property
     def digest(self) -> str:
@@ -39,6 +40,8 @@ class TemplateFile:
 
         Raises InputError where the file holds no template, or one without eyeballs, teeth, gums or tongue.
         """
+        from avatarbuild.template import PART_NAMES, Template
+
         template = Template.load(self.path)
         missing = [name for name in PART_NAMES if name not in template.parts]
         if missing:
@@ -57,7 +60,7 @@ def resolve(name: str | Path) -> TemplateFile:
     """
     path = Path(name)
     if str(name) == SHIPPED:
-        return TemplateFile(template_folder() / "head.npz")
+        return TemplateFile(_shipped_head())
     for file in (path, path.with_name(path.name + ".npz") if path.name else path):
         if file.is_file():
             return TemplateFile(file)
@@ -78,7 +81,15 @@ def templates_in(folder: Path) -> list[Path]:
     return [path for path in sorted(folder.glob("*.npz")) if _is_template(path)] if folder.is_dir() else []
 
 
+def _shipped_head() -> Path:
+    from avatarbuild.template import template_folder
+
+    return template_folder() / "head.npz"
+
+
 def _is_template(path: Path) -> bool:
+    import numpy as np
+
     try:
         with np.load(path, allow_pickle=False) as stored:
             return {"mean", "expression_names", "part_ranges"} <= set(stored.files)

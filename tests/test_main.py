@@ -12,7 +12,7 @@ import pytest
 from captures import texture_photos
 from media import bad_inputs, huge_png
 
-from avatarbuild import main, project
+from avatarbuild import main, pipeline, project
 
 SCHEMAS = Path(__file__).parent.parent / "docs" / "schemas"
 
@@ -174,7 +174,7 @@ def test_stopping_by_the_keyboard(
         raise KeyboardInterrupt
 
     texture_photos(tmp_path / "me", 8)
-    monkeypatch.setattr(main.pipeline, "run", stopped)
+    monkeypatch.setattr(pipeline, "run", stopped)
     assert call(monkeypatch, "run", tmp_path / "me") == 130
     assert "goes on" in capsys.readouterr().err
 

@@ -22,7 +22,7 @@ import viewer_project
 from avatarbuild.animation.skin_light import bent
 from avatarbuild.errors import InputError
 from avatarbuild.formats.details import read_details
-from avatarbuild.formats.gltf import read_glb
+from avatarbuild.formats.gltf import read_glb, with_picture
 from avatarbuild.formats.track import track_csv
 from avatarbuild.geometry.meshes import vertex_normals, vertex_of_uv
 from avatarbuild.geometry.mipmap import build_mipmap, sample_texture
@@ -31,7 +31,7 @@ from avatarbuild.geometry.tangents import vertex_tangents
 from avatarbuild.project import Project
 from avatarbuild.report.rendering import View, look
 from avatarbuild.template import expression_weights
-from avatarbuild.viewer import live, scene, server
+from avatarbuild.viewer import live, scene, server, start
 from avatarbuild.viewer.view import export
 from tests import devtools
 
@@ -363,8 +363,8 @@ def test_what_the_page_is_made_of(project):
 def test_a_large_albedo_is_halved_for_the_start():
     big = cv2.imencode(".jpg", np.full((4096, 4096, 3), (60, 120, 180), np.uint8))[1].tobytes()
     made = viewer_project.files(synthetic.template(), viewer_project.shapes(), details=False, tracked=False)
-    whole = scene.with_picture(read_glb(made["avatar.glb"]), "albedo", big)
-    lighter = read_glb(scene.lighter(read_glb(whole)))
+    whole = with_picture(read_glb(made["avatar.glb"]), "albedo", big)
+    lighter = read_glb(start.lighter(read_glb(whole)))
     data = lighter.view(lighter.named("images", "albedo")["bufferView"])
     small = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     assert small.shape == (2048, 2048, 3)

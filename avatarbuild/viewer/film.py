@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import logging
 import tempfile
 from collections.abc import Iterator
@@ -12,10 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from avatarbuild.errors import InputError
 from avatarbuild.formats.clip import encode_clip
 from avatarbuild.formats.video import decode_frames, frame_times, open_video
-from avatarbuild.project import Project
 from avatarbuild.whole_file import whole_file
 
 log = logging.getLogger(__name__)
@@ -24,16 +21,6 @@ _LONGER = 720  # pixels of the clip's longer side
 _QUALITY = 27  # x264's constant rate factor
 _AS_IT_IS = 3_000_000  # bytes: a smaller clip that browsers play is sent unchanged
 _FORM = 1  # of the clips: another number, other clips
-
-
-def source(project: Project) -> Path | None:
-    """The video that stage tracking read; None where it is gone or none was tracked."""
-    try:
-        about = json.loads((project.folder("tracking") / "clip.json").read_text(encoding="utf-8"))
-        path = project.root / project.settings()["capture"] / about["video"]
-    except (OSError, ValueError, KeyError, TypeError, InputError):
-        return None
-    return path if about["video"] and path.is_file() else None
 
 
 def for_page(video: Path, folder: Path) -> Path:

@@ -38,10 +38,12 @@ HOST = "127.0.0.1"
 PAGES = Path(__file__).parent / "pages"  # our own HTML, CSS and modules
 LIBRARY = "three.js"  # the address of three.js beside a page
 
-# a file, bytes, or what makes one of them when it is first asked for
-Content = Path | bytes | Callable[[], Path | bytes]
+# a file, bytes, or what makes one of them when it is first asked for; None: there is no such thing after all
+Made = Path | bytes | None
+Content = Path | bytes | Callable[[], Made]
 
 _NAMES = ("127.0.0.1", "localhost")
+_AT_ONCE = 4_000_000  # bytes of a file that is sent in one piece; videos are asked for in ranges
 _TYPES = {
     ".js": "text/javascript",
     ".glsl": "text/plain",
@@ -204,12 +206,12 @@ def _bound(port: int) -> socket.socket:
     return bound
 
 
-def once(make: Callable[[], Path | bytes]) -> Callable[[], Path | bytes]:
+def once(make: Callable[[], Made]) -> Callable[[], Made]:
     """`make`, called at most once whoever asks; a fault is not kept."""
-    made: list[Path | bytes] = []
+    made: list[Made] = []
     lock = threading.Lock()
 
-    def ready() -> Path | bytes:
+    def ready() -> Made:
         with lock:
             if not made:
                 made.append(make())
@@ -220,17 +222,21 @@ def once(make: Callable[[], Path | bytes]) -> Callable[[], Path | bytes]:
 
 def _answer(address: str, content: Content) -> Callable[[Request], Any]:
     kind = media_type(address)
-    ready = once(content) if callable(content) else lambda: content
+    ready = once(content) if callable(content) else None
 
     async def answer(request: Request) -> Response:
         try:
-            held = await run_in_threadpool(ready)
+            held = content if ready is None else await run_in_threadpool(ready)
         except InputError as error:
             return PlainTextResponse(str(error), status_code=404)
         if isinstance(held, Path):
             if not held.is_file():
                 return PlainTextResponse(f"{address} is gone", status_code=404)
-            return FileResponse(held, media_type=kind)
+            if kind.startswith("video/") or held.stat().st_size > _AT_ONCE:
+                return FileResponse(held, media_type=kind)
+            held = held.read_bytes()  # many small files: a thread for each read would take longer than all of them
+        if held is None:
+            return PlainTextResponse(f"{address}: this avatar has none", status_code=404)
         return Response(held, media_type=kind)
 
     return answer

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from avatarbuild.errors import InputError
 from avatarbuild.project import Project
-from avatarbuild.viewer import live, scene, server
+from avatarbuild.viewer import scene, server
 
 log = logging.getLogger(__name__)
 
@@ -28,7 +28,7 @@ def view(project: Project, port: int, udp: int, open_browser: bool, told: Callab
     heard = udp or None
     table = scene.files(project, live=heard)
     warm(table)
-    app = server.application(table, [live.route(heard)] if heard else [])
+    app = server.application(table, _live_routes(heard))
     server.serve(app, port, open_browser=open_browser, told=told)
 
 
@@ -50,6 +50,8 @@ def export(project: Project, folder: Path, told: Callable[[str], None]) -> int:
             if address == "data/video.mp4":
                 told("the video is made smaller for the page …")
             made = content() if callable(content) else content
+            if made is None:
+                continue
             place = folder / address
             place.parent.mkdir(parents=True, exist_ok=True)
             if isinstance(made, Path):
@@ -66,18 +68,21 @@ def export(project: Project, folder: Path, told: Callable[[str], None]) -> int:
 
 def warm(table: dict[str, server.Content]) -> None:
     """Begins with what the first picture needs while the browser still starts; the table keeps what is made."""
-    first = []
-    for address in ("data/avatar.glb", "data/traits.bin"):
-        content = table[address]
-        assert callable(content)
-        first.append(server.once(content))
-        table[address] = first[-1]
+    make = table["data/first.glb"]
+    assert callable(make)
 
     def begin() -> None:
-        for make in first:
-            try:
-                make()
-            except InputError as error:  # the page says so when it asks
-                log.warning("%s", error)
+        try:
+            make()
+        except InputError as error:  # the page says so when it asks
+            log.warning("%s", error)
 
     threading.Thread(target=begin, daemon=True).start()
+
+
+def _live_routes(heard: int | None) -> list[server.BaseRoute]:
+    if heard is None:
+        return []
+    from avatarbuild.viewer import live
+
+    return [live.route(heard)]

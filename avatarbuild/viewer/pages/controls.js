@@ -1,7 +1,7 @@
-// The viewer: loads what the program has prepared and ties the controls to it. window.viewer is the same from a script
-// (docs/viewer.md).
+// The full avatar and what the controls do with it. window.viewer is the same from a script (docs/viewer.md).
 import { THREE } from "./three.js";
 import { Avatar, loadGlb } from "./avatar.js";
+import { fetched } from "./context.js";
 import { loadDetails } from "./details.js";
 import { keysIn } from "./keys.js";
 import { lighting } from "./light.js";
@@ -9,20 +9,11 @@ import { Live } from "./live.js";
 import { slidersIn, togglesIn } from "./panel.js";
 import { picture, Recorder, save } from "./record.js";
 import { PRESETS, readTable, weightsOf } from "./shapes.js";
-import { Stage } from "./stage.js";
-import { Surface } from "./surface.js";
 import { Performance, Timeline } from "./timeline.js";
 
 const $ = (id) => document.getElementById(id);
 const GLIDE = 260; // milliseconds from one preset to the next
 const MAPS = ["albedo", "details", "relief", "occlusion"];
-
-function stop(text) {
-  $("cover").classList.remove("gone");
-  $("cover").classList.add("fault");
-  $("cover-text").textContent = text;
-  document.documentElement.dataset.state = "fault";
-}
 
 const toast = (() => {
   let timer = 0;
@@ -34,40 +25,28 @@ const toast = (() => {
   };
 })();
 
-async function fetched(address, kind) {
-  const answer = await fetch(address);
-  if (!answer.ok) throw new Error((await answer.text()) || `${address}: ${answer.status}`);
-  return answer[kind]();
-}
-
-// scene.json, the avatar on a stage, and why what is missing is missing
-async function load(context) {
+// scene.json, the avatar with its materials, and why what is missing is missing
+async function load(stage, surface) {
   const [about, gltf, vertex, fragment, synthesis] = await Promise.all([
     fetched("data/scene.json", "json"),
     loadGlb("data/avatar.glb"),
     ...["surface.vert.glsl", "surface.frag.glsl", "synthesis.glsl"].map((name) => fetched(name, "text")),
   ]);
   if (about.version !== 1) throw new Error(`scene.json has version ${about.version}, 1 is needed`);
-  const stage = new Stage($("canvas"), context, $("view"));
   const [details] = await Promise.allSettled([about.details ? loadDetails("data/details", stage.renderer, synthesis) : null]);
   if (details.status === "rejected") about.missing.details = `The details cannot be read (${details.reason.message}).`;
-  const surface = new Surface({ vertex, fragment, synthesis }, details.value ?? null);
+  surface.use({ vertex, fragment, synthesis }, details.value ?? null);
   const avatar = new Avatar(gltf, surface, details.value ?? null);
-  stage.show(avatar, surface);
-  return { about, stage, surface, avatar, details: avatar.details };
+  return { about, avatar, details: avatar.details };
 }
 
-async function main() {
-  const context = $("canvas").getContext("webgl2", { antialias: true, alpha: false, powerPreference: "high-performance" });
-  if (!context) {
-    stop("This page draws with WebGL 2, which this browser does not offer. Try a current Firefox, Chrome, Edge or Safari, and see that hardware acceleration is on.");
-    return;
-  }
-  $("canvas").addEventListener("webglcontextlost", () => stop("The graphics card gave up (its context was lost). Load the page again."));
-  const { about, stage, surface, avatar, details } = await load(context);
+// first: what the first picture shows, taken away when the full one is there; null for none
+export async function control(stage, surface, first) {
+  const { about, avatar, details } = await load(stage, surface);
   const { missing } = about;
   document.title = `${about.title} – avatar`;
   $("name").textContent = about.title;
+  stage.take(avatar, surface);
   const light = lighting({ pad: $("pad"), environment: $("environment"), turn: $("turn"), ambient: $("ambient"), key: $("key") },
                          surface, stage, about.light);
 
@@ -322,19 +301,19 @@ async function main() {
     ["?", "these keys", click("help")],
   ], (digit) => PRESETS[digit] && glideTo(PRESETS[digit].weights));
 
-  // ---- the first picture, coarse and before what it does not need; then the rest
-  stage.frame();
+  // ---- the full picture, once its shaders are compiled; then the rest
   avatar.place(null);
   light.use("studio");
-  stage.draw(true, 0.5);
-  stage.wait();
-  performance.mark("first picture");
-  $("cover").classList.add("gone");
-  document.documentElement.dataset.state = "ready";
-  stage.run(() => {
+  await stage.show(first);
+  stage.moved = () => {
     if (timeline.tick()) showMoment();
     if (glide) gliding();
-  });
+  };
+  stage.run();
+  await stage.painted();
+  performance.mark("full picture");
+  $("cover").classList.add("gone");
+  document.documentElement.dataset.state = "ready";
 
   async function traits() {
     const data = await fetched("data/traits.bin", "arrayBuffer");
@@ -371,8 +350,3 @@ async function main() {
     measure: (count = 10) => stage.measure(count, (i) => setWeights(Float32Array.from({ length: 52 }, (_, j) => 0.05 + 0.05 * ((i + j) % 3)))),
   };
 }
-
-main().catch((error) => {
-  console.error(error);
-  stop(`The avatar cannot be shown: ${error.message}`);
-});

@@ -23,6 +23,8 @@ export class Stage {
     Object.assign(this.controls, { minDistance: 0.12, maxDistance: 3, zoomSpeed: 0.8, rotateSpeed: 0.9 });
     this.controls.addEventListener("change", () => this.redraw());
     this.controls.addEventListener("start", () => this.leaveFilm());
+    this.moved = null; // called before every picture
+    this.running = this.whole = false; // whole: the avatar is shown, and not the first picture alone
     this.film = null; // the lens that is looked through: { size: [w, h], focal } in pixels
     this.dirty = this.shadowStale = true;
     this.steady = false; // while a clip is recorded its size must not change
@@ -30,11 +32,21 @@ export class Stage {
     new ResizeObserver(() => this.resize()).observe(box);
   }
 
-  // what is to be seen, whose details are to be refreshed, whose key light throws the shadow
-  show(avatar, surface) {
+  // whose details are to be refreshed, whose key light throws the shadow, once it is shown
+  take(avatar, surface) {
     this.avatar = avatar;
     this.surface = surface;
-    this.scene.add(avatar.root, surface.key, surface.key.target);
+    this.scene.add(surface.key, surface.key.target);
+  }
+
+  // shows the avatar when its shaders are compiled; before: what was seen until then, or null
+  async show(before) {
+    const { renderer, scene, avatar } = this;
+    if (renderer.extensions.has("KHR_parallel_shader_compile")) await renderer.compileAsync(avatar.root, this.camera, scene);
+    scene.add(avatar.root);
+    if (before) scene.remove(before);
+    this.whole = true;
+    this.redraw(true);
   }
 
   redraw(shadow = false) {
@@ -94,18 +106,20 @@ export class Stage {
       renderer.setPixelRatio(ratio);
       renderer.setSize(w, h, false);
     }
-    this.avatar.details?.refresh();
-    renderer.shadowMap.needsUpdate = (whole || this.shadowStale) && surface.key.castShadow;
+    if (this.whole) this.avatar.details?.refresh();
+    renderer.shadowMap.needsUpdate = this.whole && surface.key.castShadow && (whole || this.shadowStale);
     this.dirty = this.shadowStale = false;
     renderer.render(this.scene, this.camera);
   }
 
   // Calls `moved` before every picture and draws where there is something new. Where pictures take long they are drawn
   // coarser while things move, and finely once they rest.
-  run(moved) {
+  run() {
+    if (this.running) return;
+    this.running = true;
     let last = 0, slow = 0, owed = true;
     const step = (now) => {
-      moved();
+      this.moved?.();
       if (this.dirty) {
         const gap = now - last;
         slow = gap < TOO_LONG || gap > RESTED ? Math.max(slow - (gap < QUICK ? 1 : 0), 0) : Math.min(slow + 1, 3);
@@ -120,6 +134,11 @@ export class Stage {
       requestAnimationFrame(step);
     };
     requestAnimationFrame(step);
+  }
+
+  // until a picture that has been asked for is on the screen
+  painted() {
+    return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done))));
   }
 
   // until what was drawn is there

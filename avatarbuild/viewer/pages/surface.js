@@ -5,9 +5,7 @@ const LOBES = 6;
 const ROUGHNESS = { head: 0.5, eye_left: 0.1, eye_right: 0.1, teeth_upper: 0.25, teeth_lower: 0.25, gums: 0.34, tongue: 0.42 };
 
 export class Surface {
-  constructor(sources, details) {
-    this.sources = sources;
-    this.details = details;
+  constructor() {
     const three = (count) => Array.from({ length: count }, () => new THREE.Vector3());
     this.shared = {
       surroundings: { value: three(9) },
@@ -40,6 +38,12 @@ export class Surface {
     shadow.radius = 3.2;
     shadow.bias = -0.0004;
     shadow.normalBias = 0.0016;
+  }
+
+  // sources: GLSL { vertex, fragment, synthesis }; details: of the expression, or null
+  use(sources, details) {
+    this.sources = sources;
+    this.details = details;
   }
 
   material(mesh) {
