@@ -22,7 +22,7 @@ import viewer_project
 from avatarbuild.animation.skin_light import bent
 from avatarbuild.errors import InputError
 from avatarbuild.formats.details import read_details
-from avatarbuild.formats.gltf import read_glb, with_picture
+from avatarbuild.formats.gltf import read_glb
 from avatarbuild.formats.track import track_csv
 from avatarbuild.geometry.meshes import vertex_normals, vertex_of_uv
 from avatarbuild.geometry.mipmap import build_mipmap, sample_texture
@@ -360,19 +360,32 @@ def test_what_the_page_is_made_of(project):
     assert 0 <= positions[upper, 1] - positions[lower, 1] < 0.004
 
 
-def test_a_large_albedo_is_halved_for_the_start():
-    big = cv2.imencode(".jpg", np.full((4096, 4096, 3), (60, 120, 180), np.uint8))[1].tobytes()
-    made = viewer_project.files(synthetic.template(), viewer_project.shapes(), details=False, tracked=False)
-    whole = with_picture(read_glb(made["avatar.glb"]), "albedo", big)
-    lighter = read_glb(start.lighter(read_glb(whole)))
-    data = lighter.view(lighter.named("images", "albedo")["bufferView"])
-    small = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-    assert small.shape == (2048, 2048, 3)
-    assert np.abs(small[5, 5].astype(int) - (60, 120, 180)).max() <= 3
-    for name in ("eye", "normal", "occlusion"):
-        assert lighter.view(lighter.named("images", name)["bufferView"]) == read_glb(whole).view(
-            read_glb(whole).named("images", name)["bufferView"]
-        )
+def test_the_first_picture_is_the_files_head_at_rest(project):
+    whole = read_glb((project.folder("avatar") / "avatar.glb").read_bytes())
+    small = read_glb(start.first(whole))
+    assert [node["name"] for node in small.tree["nodes"]] == ["head", "eye_left", "eye_right"]
+    for name in ("head", "eye_left", "eye_right"):
+        own, (part,) = (glb.named("meshes", name)["primitives"] for glb in (whole, small))
+        for kind in ("POSITION", "NORMAL", "TEXCOORD_0"):
+            assert np.array_equal(small.accessor(part["attributes"][kind]), whole.accessor(own[0]["attributes"][kind]))
+        assert np.array_equal(small.accessor(part["indices"]), whole.accessor(own[0]["indices"]))
+        assert "targets" not in part
+        places = [glb.named("nodes", name).get("translation") for glb in (whole, small)]
+        assert places[0] == places[1]
+    assert [image["name"] for image in small.tree["images"]] == ["albedo", "eye"]
+
+
+@pytest.mark.parametrize(("side", "kind", "made"), [(4096, ".jpg", 1024), (2500, ".png", 1250), (2047, ".jpg", None)])
+def test_pictures_are_halved_for_the_start(side, kind, made):
+    big = cv2.imencode(kind, np.full((side, side // 2, 3), (60, 120, 180), np.uint8))[1].tobytes()
+    small = start.halved(big, 1024)
+    if made is None:
+        assert small is None
+    else:
+        picture = cv2.imdecode(np.frombuffer(small, np.uint8), cv2.IMREAD_COLOR)
+        assert picture.shape == (made, made // 2, 3)
+        assert np.abs(picture[5, 5].astype(int) - (60, 120, 180)).max() <= 3
+    assert start.halved(b"no picture", 1024) is None
 
 
 def test_details_name_no_file_elsewhere(tmp_path):

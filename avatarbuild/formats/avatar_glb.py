@@ -8,17 +8,18 @@ glTF counts v from the top. n vertices of the template, e = 52 shapes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from avatarbuild import __version__
-from avatarbuild.artefacts import Performance
-from avatarbuild.formats import glb_performance
 from avatarbuild.formats.gltf import Writer
 from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.geometry.tangents import vertex_tangents
 from avatarbuild.template import COMBINATION_LIMITS, Template
+
+if TYPE_CHECKING:
+    from avatarbuild.artefacts import Performance
 
 METRES = 1e-3  # a millimetre
 NODES = {"skin": "head"}  # the template's name of a part -> the node's and mesh's, where they differ
@@ -181,6 +182,8 @@ def write(
     writer.tree["nodes"][nodes["skin"]]["children"] = [index for part, index in nodes.items() if part != "skin"]
     roots = [nodes["skin"]]
     if performance is not None and len(performance.times):
+        from avatarbuild.formats import glb_performance
+
         roots.append(glb_performance.add(writer, template, performance, nodes))
     writer.tree["scenes"] = [{"name": "avatar", "nodes": roots}]
     writer.tree["scene"] = 0

@@ -1,9 +1,9 @@
 """
 What the viewer's page is made of: address -> content, from a project's finished stages.
 
-The page itself is small; head and eyes with a small albedo come first, then avatar.glb with a larger one; the full
-albedo, the other rig, the performance and the video follow when they are asked for. docs/viewer.md lists the addresses.
-Nothing heavy is imported before an address is asked for that needs it: the server answers at once.
+The page itself is small; head and eyes with a small albedo come first, then avatar.glb as it is; the other rig, the
+performance and the video follow when they are asked for. Nothing heavy is imported before an address is asked for that
+needs it: the server answers at once.
 """
 
 from __future__ import annotations
@@ -53,8 +53,7 @@ def files(project: Project, *, live: int | None) -> dict[str, Content]:
         "missing": {},
     }
     table["data/first.glb"] = made.first
-    table["data/avatar.glb"] = made.lighter
-    table["data/albedo.jpg"] = made.full_albedo
+    table["data/avatar.glb"] = glb
     table["data/traits.bin"] = made.traits
     details = details_of(folder / "details")
     table |= details
@@ -76,7 +75,7 @@ def files(project: Project, *, live: int | None) -> dict[str, Content]:
     if project.stamp("blendshapes") is not None:
         about["transferred"] = True
         table["data/transferred.glb"] = made.transferred
-    table["data/scene.json"] = lambda: json.dumps(about | made.about()).encode()
+    table["data/scene.json"] = lambda: json.dumps(about | {"light": made.light()}).encode()
     return {address: once(content) if callable(content) else content for address, content in table.items()}
 
 
@@ -101,26 +100,15 @@ class _Made:
 
         return start.first(self.glb)
 
-    def lighter(self) -> bytes:
+    def light(self) -> list[list[float]] | None:
         from avatarbuild.viewer import start
 
-        return start.lighter(self.glb)
-
-    def full_albedo(self) -> bytes | None:
-        from avatarbuild.viewer import start
-
-        return start.full_albedo(self.glb)
-
-    def about(self) -> dict[str, Any]:
-        """Of scene.json: whether there is a larger albedo than avatar.glb has on the page, and the photos' light."""
-        from avatarbuild.viewer import start
-
-        return {"albedo": self.full_albedo() is not None, "light": start.photo_light(self.project)}
+        return start.photo_light(self.project)
 
     def traits(self) -> bytes:
-        from avatarbuild.viewer import parts
+        from avatarbuild.viewer import traits
 
-        return parts.traits(self.template, self.glb)
+        return traits.traits(self.template, self.glb)
 
     def performance(self, track: Path) -> bytes:
         from avatarbuild.viewer import parts

@@ -38,12 +38,12 @@ HOST = "127.0.0.1"
 PAGES = Path(__file__).parent / "pages"  # our own HTML, CSS and modules
 LIBRARY = "three.js"  # the address of three.js beside a page
 
-# a file, bytes, or what makes one of them when it is first asked for; None: there is no such thing after all
-Made = Path | bytes | None
+# a file, bytes, or what makes one of them when it is first asked for
+Made = Path | bytes
 Content = Path | bytes | Callable[[], Made]
 
 _NAMES = ("127.0.0.1", "localhost")
-_AT_ONCE = 4_000_000  # bytes of a file that is sent in one piece; videos are asked for in ranges
+_AT_ONCE = 50_000_000  # bytes of a file that is sent in one piece; videos are asked for in ranges
 _TYPES = {
     ".js": "text/javascript",
     ".glsl": "text/plain",
@@ -235,8 +235,6 @@ def _answer(address: str, content: Content) -> Callable[[Request], Any]:
             if kind.startswith("video/") or held.stat().st_size > _AT_ONCE:
                 return FileResponse(held, media_type=kind)
             held = held.read_bytes()  # many small files: a thread for each read would take longer than all of them
-        if held is None:
-            return PlainTextResponse(f"{address}: this avatar has none", status_code=404)
         return Response(held, media_type=kind)
 
     return answer

@@ -1,12 +1,7 @@
-"""
-The avatar as the viewer's page first gets it: head and eyes at rest with a small albedo, then avatar.glb with a larger.
-
-Nothing is imported here but what the first picture needs.
-"""
+"""What the viewer's first picture shows: head and eyes at rest with a small albedo. Little is imported for it."""
 
 from __future__ import annotations
 
-import contextlib
 import io
 from pathlib import Path
 
@@ -14,12 +9,10 @@ import numpy as np
 from PIL import Image
 
 from avatarbuild.errors import InputError
-from avatarbuild.formats.gltf import Gltf, Writer, read_glb, with_picture
+from avatarbuild.formats.gltf import Gltf, Writer, read_glb
 from avatarbuild.project import Project
 
-_SIDE = 2048  # texels of the albedo that avatar.glb has on the page, at least
-_FIRST_SIDE = 1024  # and of the first picture's
-_QUALITY = 90  # of both as JPEG
+_SIDE, _QUALITY = 1024, 90  # texels along a side at least, and JPEG quality, of the first picture's colours
 _SHOWN = ("head", "eye_left", "eye_right")  # meshes of the first picture: what stands behind closed lips is not seen
 _ATTRIBUTES = ("POSITION", "NORMAL", "TEXCOORD_0")
 
@@ -47,7 +40,7 @@ def first(glb: Gltf) -> bytes:
             if texture not in pictures:
                 image = tree["images"][tree["textures"][texture]["source"]]
                 data = glb.view(image["bufferView"])
-                pictures[texture] = writer.texture(_smaller(data, _FIRST_SIDE) or data, image.get("name", name))
+                pictures[texture] = writer.texture(halved(data, _SIDE) or data, image.get("name", name))
             colour["baseColorTexture"] = {"index": pictures[texture]}
         attributes = {
             kind: writer.attribute(glb.accessor(primitive["attributes"][kind]), bounds=kind == "POSITION")
@@ -68,21 +61,6 @@ def first(glb: Gltf) -> bytes:
     return writer.glb()
 
 
-def lighter(glb: Gltf) -> bytes:
-    """avatar.glb with an albedo of 2048 to 4095 texels along a side, where its own is larger."""
-    made = _smaller(_albedo(glb), _SIDE)
-    return with_picture(glb, None, b"") if made is None else with_picture(glb, "albedo", made)
-
-
-def full_albedo(glb: Gltf) -> bytes | None:
-    """The albedo's file where it is larger than the one of `lighter`."""
-    data = _albedo(glb)
-    with contextlib.suppress(OSError), Image.open(io.BytesIO(data)) as image:
-        if max(image.size) >= 2 * _SIDE:
-            return data
-    return None
-
-
 def photo_light(project: Project) -> list[list[float]] | None:
     """(9, 3) the photos' light; None where stage albedo has not been run."""
     try:
@@ -92,13 +70,7 @@ def photo_light(project: Project) -> list[list[float]] | None:
         return None
 
 
-def _albedo(glb: Gltf) -> bytes:
-    """The albedo's file; b"" where there is none, as in files of early versions."""
-    images = [image for image in glb.tree.get("images", []) if image.get("name") == "albedo"]
-    return glb.view(images[0]["bufferView"]) if images else b""
-
-
-def _smaller(picture: bytes, side: int) -> bytes | None:
+def halved(picture: bytes, side: int) -> bytes | None:
     """A JPEG of the picture, halved as often as its longer side stays `side` at least; None where it is not halved."""
     try:
         with Image.open(io.BytesIO(picture)) as image:

@@ -50,8 +50,6 @@ def export(project: Project, folder: Path, told: Callable[[str], None]) -> int:
             if address == "data/video.mp4":
                 told("the video is made smaller for the page …")
             made = content() if callable(content) else content
-            if made is None:
-                continue
             place = folder / address
             place.parent.mkdir(parents=True, exist_ok=True)
             if isinstance(made, Path):

@@ -27,6 +27,8 @@ const toast = (() => {
 
 // scene.json, the avatar with its materials, and why what is missing is missing
 async function load(stage, surface) {
+  const traits = fetched("data/traits.bin", "arrayBuffer"); // the program takes its time over it
+  traits.catch(() => {});
   const [about, gltf, vertex, fragment, synthesis] = await Promise.all([
     fetched("data/scene.json", "json"),
     loadGlb("data/avatar.glb"),
@@ -37,6 +39,12 @@ async function load(stage, surface) {
   if (details.status === "rejected") about.missing.details = `The details cannot be read (${details.reason.message}).`;
   surface.use({ vertex, fragment, synthesis }, details.value ?? null);
   const avatar = new Avatar(gltf, surface, details.value ?? null);
+  try {
+    const data = await traits;
+    avatar.tell([...new Uint32Array(data, 0, 2)], new Uint8Array(data, 8));
+  } catch (fault) {
+    toast(`Lips and scalp look like the rest of the skin: ${fault.message}`, 8);
+  }
   return { about, avatar, details: avatar.details };
 }
 
@@ -315,30 +323,10 @@ export async function control(stage, surface, first) {
   $("cover").classList.add("gone");
   document.documentElement.dataset.state = "ready";
 
-  async function traits() {
-    const data = await fetched("data/traits.bin", "arrayBuffer");
-    avatar.tell([...new Uint32Array(data, 0, 2)], new Uint8Array(data, 8));
-    stage.redraw(true);
-  }
-  async function sharpen() {
-    if (!about.albedo) return;
-    const image = await createImageBitmap(await fetched("data/albedo.jpg", "blob"), { colorSpaceConversion: "none" });
-    if (image.width > stage.renderer.capabilities.maxTextureSize) return;
-    const texture = new THREE.Texture(image), old = surface.skin.uniforms.map.value;
-    Object.assign(texture, { colorSpace: THREE.SRGBColorSpace, flipY: false, anisotropy: 8, needsUpdate: true });
-    avatar.setAlbedo(texture, old);
-    old.dispose();
-    stage.redraw();
-  }
-  async function played() {
-    if (about.performance) usePerformance(await fetched("data/performance.json", "json"));
-  }
-  // each of them can be done without
-  Promise.allSettled([traits(), sharpen(), played()]).then((parts) => {
-    const fault = parts.find((part) => part.status === "rejected");
-    if (fault) toast(`A part of the avatar cannot be loaded: ${fault.reason.message}`, 8);
-    document.documentElement.dataset.whole = "ready";
-  });
+  // it can be done without
+  const played = about.performance ? fetched("data/performance.json", "json").then(usePerformance) : Promise.resolve();
+  played.catch((fault) => toast(`The performance cannot be loaded: ${fault.message}`, 8))
+    .then(() => { document.documentElement.dataset.whole = "ready"; });
 
   window.viewer = {
     THREE, stage, avatar, details, surface, timeline, toggles, light,
