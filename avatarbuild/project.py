@@ -298,14 +298,13 @@ def _seal(stamp: dict[str, Any]) -> str:
 
 def _sound(stamp: Any) -> bool:
     """Whether a stamp is as it was written; of one without a seal, whether it has the right form."""
-    if not isinstance(stamp, dict) or not isinstance(stamp.get("timing", {}), dict):
-        return False
-    if not isinstance(stamp.get("timing", {}).get("seconds", 0.0), int | float):
+    timing = stamp.get("timing") if isinstance(stamp, dict) else None
+    if not isinstance(timing, dict) or not isinstance(timing.get("seconds"), int | float):
         return False
     if "seal" in stamp:
         return stamp["seal"] == _seal(stamp)
     form = {"key": str, "versions": dict, "options": dict, "figures": dict, "warnings": list}
-    return "timing" in stamp and all(isinstance(stamp.get(key), kind) for key, kind in form.items())
+    return all(isinstance(stamp.get(key), kind) for key, kind in form.items())
 
 
 def _flush(folder: Path) -> None:

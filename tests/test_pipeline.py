@@ -276,6 +276,10 @@ def test_a_stamp_vouches_for_its_files_and_for_itself(tmp_path: Path) -> None:
     text = (place / "stamp.json").read_text()
     (place / "stamp.json").write_text(text.replace('"seconds": 1.0', '"seconds": 2.0'))
     assert project.stamp("points") is not None
+    (place / "stamp.json").write_text(text.replace('"timing": {', '"times": {'))
+    assert project.stamp("points") is None
+    (place / "stamp.json").write_text(text.replace('"seconds": 1.0', '"hours": 1.0'))
+    assert project.stamp("points") is None
     (place / "stamp.json").write_text(text.replace('"key": "k"', '"key": "l"'))
     assert project.stamp("points") is None
 
