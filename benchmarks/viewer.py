@@ -4,11 +4,11 @@ GL, the shader.
 
     PYTHONPATH=. python benchmarks/viewer.py PROJECT [--pictures 10] [--starts 3] [--keep FOLDER]
 
-PROJECT has a finished avatar. Needs Chromium (AVATARBUILD_CHROMIUM names its program). The browser runs already; time
-counts from the command's start to the frame after the one that the picture was drawn for, in a window of 640 x 640.
-FOLDER gets what the window shows at both times. A picture is drawn at 640 x 640 with all 52 shapes at work and the
-shadow made anew, and read back, so that nothing is left in a queue. On a machine that does other work too, core-seconds
-tell more than seconds.
+PROJECT has a finished avatar. Needs Chromium (AVATARBUILD_CHROMIUM names its program). The browser runs already and
+rests; time counts from the command's start to the frame after the picture's, in a window of 640 x 640. FOLDER gets what
+the window shows at both times. Then a picture is drawn at 640 x 640 with all 52 shapes at work and the shadow made anew,
+and read back, so that nothing is left in a queue. On a machine that does other work too, core-seconds tell more than
+seconds.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ READY = "document.documentElement.dataset.state === 'ready'"
 WHOLE = "document.documentElement.dataset.whole"
 FIRST = ("index", "viewer.css", "context", "main.js", "stage", "first", "environment", "surface.js", "three.js")
 FULL = (*FIRST, ".js", ".glsl", "scene.json", "avatar.glb", "details/")
+_REST = 2.0  # seconds after which a new browser has done what it does at its start
 _CALLS = re.compile(r"\b([A-Za-z_]\w*)\s*\(")
 _LOOP = re.compile(r"for\s*\([^;]*=\s*(-?\d+)[^;]*;[^;]*<\s*(\d+)[^;]*;[^)]*\)+\s*\{")
 _HEAVY = {"exp": 4, "exp2": 4, "pow": 8, "sqrt": 4, "normalize": 8, "inversesqrt": 4, "log2": 4, "reflect": 6}
@@ -91,6 +92,7 @@ def started(project: Path, folder: Path | None) -> Iterator[devtools.Page]:
     """The page of `avatarbuild view`, loaded by a new browser; prints when its pictures were there."""
     with devtools.browser() as page:
         page.size(640, 640)
+        time.sleep(_REST)
         begun, idle = time.time(), busy()
         command = [sys.executable, "-m", "avatarbuild", "view", str(project), "--no-browser", "--live", "0"]
         program = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)

@@ -171,6 +171,22 @@ def read_glb(data: bytes) -> Gltf:
     return Gltf(tree, chunks.get(_BIN, b""))
 
 
+def with_picture(glb: Gltf, name: str, picture: bytes) -> bytes:
+    """The file's bytes again, the picture `name` replaced by another PNG or JPEG."""
+    tree = json.loads(json.dumps(glb.tree))
+    image = next(image for image in tree["images"] if image["name"] == name)
+    image["mimeType"] = next(kind for magic, kind in _PICTURES.items() if picture.startswith(magic))
+    own = image["bufferView"]
+    chunk = bytearray()
+    for i, view in enumerate(tree["bufferViews"]):
+        raw = picture if i == own else glb.view(i)
+        chunk += bytes(-len(chunk) % 4)
+        view["byteOffset"], view["byteLength"] = len(chunk), len(raw)
+        chunk += raw
+    tree["buffers"] = [{"byteLength": len(chunk)}]
+    return _file(tree, bytes(chunk))
+
+
 def _file(tree: dict[str, Any], chunk: bytes) -> bytes:
     text = json.dumps(tree, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
     chunks = [(_JSON, text + b" " * (-len(text) % 4))]

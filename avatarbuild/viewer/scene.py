@@ -1,9 +1,9 @@
 """
 What the viewer's page is made of: address -> content, from a project's finished stages.
 
-The page itself is small; head and eyes with a small albedo come first, then avatar.glb as it is; the other rig, the
-performance and the video follow when they are asked for. Nothing heavy is imported before an address is asked for that
-needs it: the server answers at once.
+The page itself is small; head and eyes with small pictures come first, then avatar.glb with an albedo of 2048 texels;
+the full albedo, the other rig and the video follow when they are asked for. Nothing heavy is imported before an address
+is asked for that needs it: the server answers at once.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ def files(project: Project, *, live: int | None) -> dict[str, Content]:
         "missing": {},
     }
     table["data/first.glb"] = made.first
-    table["data/avatar.glb"] = glb
+    table["data/avatar.glb"] = made.lighter
+    table["data/albedo.jpg"] = made.albedo
     table["data/traits.bin"] = made.traits
     details = details_of(folder / "details")
     table |= details
@@ -75,7 +76,7 @@ def files(project: Project, *, live: int | None) -> dict[str, Content]:
     if project.stamp("blendshapes") is not None:
         about["transferred"] = True
         table["data/transferred.glb"] = made.transferred
-    table["data/scene.json"] = lambda: json.dumps(about | {"light": made.light()}).encode()
+    table["data/scene.json"] = lambda: json.dumps(about | made.about()).encode()
     return {address: once(content) if callable(content) else content for address, content in table.items()}
 
 
@@ -100,10 +101,21 @@ class _Made:
 
         return start.first(self.glb)
 
-    def light(self) -> list[list[float]] | None:
+    def lighter(self) -> Path | bytes:
         from avatarbuild.viewer import start
 
-        return start.photo_light(self.project)
+        return start.lighter(self.glb, self._glb)
+
+    def albedo(self) -> bytes:
+        from avatarbuild.viewer import start
+
+        return start.albedo(self.glb)
+
+    def about(self) -> dict[str, Any]:
+        """Of scene.json: whether albedo.jpg is larger than what avatar.glb has on the page, and the photos' light."""
+        from avatarbuild.viewer import start
+
+        return {"albedo": start.is_large(self.albedo()), "light": start.photo_light(self.project)}
 
     def traits(self) -> bytes:
         from avatarbuild.viewer import traits
@@ -111,14 +123,14 @@ class _Made:
         return traits.traits(self.template, self.glb)
 
     def performance(self, track: Path) -> bytes:
-        from avatarbuild.viewer import parts
+        from avatarbuild.viewer import performance
 
-        return json.dumps(parts.performance(track), separators=(",", ":")).encode()
+        return json.dumps(performance.performance(track), separators=(",", ":")).encode()
 
     def transferred(self) -> bytes:
-        from avatarbuild.viewer import parts
+        from avatarbuild.viewer import transferred
 
-        return parts.transferred(self.project, self.template)
+        return transferred.transferred(self.project, self.template)
 
     def video(self, source: Path) -> Path:
         from avatarbuild.viewer import film

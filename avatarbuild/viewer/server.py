@@ -190,8 +190,9 @@ class _Server(uvicorn.Server):
 
 def _config(app: ASGIApp) -> uvicorn.Config:
     quiet: dict[str, Any] = {"log_config": None, "log_level": "warning", "access_log": False, "server_header": False}
+    quick: dict[str, Any] = {"loop": "asyncio", "lifespan": "off"}  # to start; a faster loop would gain nothing here
     # an open page keeps its connections: Ctrl-C does not wait for it
-    return uvicorn.Config(app, proxy_headers=False, timeout_graceful_shutdown=1, **quiet)
+    return uvicorn.Config(app, proxy_headers=False, timeout_graceful_shutdown=1, **quiet, **quick)
 
 
 def _bound(port: int) -> socket.socket:

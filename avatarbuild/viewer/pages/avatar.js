@@ -159,6 +159,12 @@ export class Avatar {
     this.surface.setHead(head, this.eyes);
   }
 
+  // Another albedo for every part that has the old one.
+  setAlbedo(texture, old) {
+    for (const { material } of this.meshes)
+      if (material.uniforms.map.value === old) material.uniforms.map.value = texture;
+  }
+
   // Lines over the skin, in the same morphed places.
   showWires(on) {
     if (this.wires) {

@@ -29,8 +29,11 @@ const toast = (() => {
 async function load(stage, surface) {
   const traits = fetched("data/traits.bin", "arrayBuffer"); // the program takes its time over it
   traits.catch(() => {});
+  const scene = fetched("data/scene.json", "json");
+  const played = scene.then(({ performance }) => (performance ? fetched("data/performance.json", "json") : null));
+  played.catch(() => {});
   const [about, gltf, vertex, fragment, synthesis] = await Promise.all([
-    fetched("data/scene.json", "json"),
+    scene,
     loadGlb("data/avatar.glb"),
     ...["surface.vert.glsl", "surface.frag.glsl", "synthesis.glsl"].map((name) => fetched(name, "text")),
   ]);
@@ -45,12 +48,12 @@ async function load(stage, surface) {
   } catch (fault) {
     toast(`Lips and scalp look like the rest of the skin: ${fault.message}`, 8);
   }
-  return { about, avatar, details: avatar.details };
+  return { about, avatar, details: avatar.details, played };
 }
 
 // first: what the first picture shows, taken away when the full one is there; null for none
 export async function control(stage, surface, first) {
-  const { about, avatar, details } = await load(stage, surface);
+  const { about, avatar, details, played } = await load(stage, surface);
   const { missing } = about;
   document.title = `${about.title} – avatar`;
   $("name").textContent = about.title;
@@ -312,21 +315,33 @@ export async function control(stage, surface, first) {
   // ---- the full picture, once its shaders are compiled; then the rest
   avatar.place(null);
   light.use("studio");
+  try {
+    const data = await played;
+    if (data) usePerformance(data);
+  } catch (fault) {
+    toast(`The performance cannot be loaded: ${fault.message}`, 8);
+  }
   await stage.show(first);
   stage.moved = () => {
     if (timeline.tick()) showMoment();
     if (glide) gliding();
   };
   stage.run();
+  $("cover").classList.add("gone");
   await stage.painted();
   performance.mark("full picture");
-  $("cover").classList.add("gone");
-  document.documentElement.dataset.state = "ready";
 
-  // it can be done without
-  const played = about.performance ? fetched("data/performance.json", "json").then(usePerformance) : Promise.resolve();
-  played.catch((fault) => toast(`The performance cannot be loaded: ${fault.message}`, 8))
-    .then(() => { document.documentElement.dataset.whole = "ready"; });
+  // texels that the picture would not show are not fetched
+  async function sharpen() {
+    const image = await createImageBitmap(await fetched("data/albedo.jpg", "blob"), { colorSpaceConversion: "none" });
+    if (image.width > stage.renderer.capabilities.maxTextureSize) return;
+    const texture = new THREE.Texture(image), old = surface.skin.uniforms.map.value;
+    Object.assign(texture, { colorSpace: THREE.SRGBColorSpace, flipY: false, anisotropy: old.anisotropy, needsUpdate: true });
+    avatar.setAlbedo(texture, old);
+    old.dispose();
+    stage.redraw();
+  }
+  if (about.albedo) stage.near = () => sharpen().catch((fault) => toast(`The full albedo cannot be loaded: ${fault.message}`, 8));
 
   window.viewer = {
     THREE, stage, avatar, details, surface, timeline, toggles, light,
@@ -337,4 +352,5 @@ export async function control(stage, surface, first) {
     useRig, setSide, setMotion, importTable, readTable, takePicture, recordClip, toggleLive,
     measure: (count = 10) => stage.measure(count, (i) => setWeights(Float32Array.from({ length: 52 }, (_, j) => 0.05 + 0.05 * ((i + j) % 3)))),
   };
+  document.documentElement.dataset.state = document.documentElement.dataset.whole = "ready";
 }

@@ -29,23 +29,40 @@ const FRAGMENT = `
     #include <colorspace_fragment>
   }`;
 
-// file: first.glb as an ArrayBuffer. What is drawn, to be taken away when the full avatar is there.
-export async function firstPicture(file, stage, surface) {
-  const { scene } = await new GLTFLoader().parseAsync(file, "");
-  scene.traverse((node) => {
-    if (!node.isMesh) return;
-    const { map, color } = node.material;
-    const value = map ?? new THREE.DataTexture(Uint8Array.from([...color.toArray(), 1], (x) => 255 * x), 1, 1);
-    value.needsUpdate = true;
-    node.material = new THREE.ShaderMaterial({
-      uniforms: { ...surface.shared, map: { value } }, vertexShader: VERTEX, fragmentShader: FRAGMENT,
-    });
-  });
+const material = (surface, map) => new THREE.ShaderMaterial({
+  uniforms: { ...surface.shared, map: { value: map } }, vertexShader: VERTEX, fragmentShader: FRAGMENT,
+});
+
+function plain(colour) {
+  const texture = new THREE.DataTexture(Uint8Array.from([...colour.toArray(), 1], (x) => 255 * x), 1, 1);
+  const linear = { minFilter: THREE.LinearMipmapLinearFilter, magFilter: THREE.LinearFilter, generateMipmaps: true };
+  return Object.assign(texture, linear, { colorSpace: THREE.SRGBColorSpace, needsUpdate: true });
+}
+
+// Sets the light, and draws a speck, so that the shader is compiled while first.glb is still on its way.
+export function prepare(stage, surface) {
   const { studio } = ENVIRONMENTS;
   studio.harmonics ??= harmonics(studio);
   surface.setSurroundings(studio, studio.harmonics, 1);
   const { direction, light } = studio.key;
   surface.setKey(new THREE.Vector3(...direction).normalize(), new THREE.Vector3().setScalar(light), stage.centre);
+  const speck = new THREE.BufferGeometry();
+  for (const [name, size] of [["position", 3], ["normal", 3], ["uv", 2]])
+    speck.setAttribute(name, new THREE.BufferAttribute(Float32Array.from({ length: 3 * size }, (_, i) => 1e-4 * (i % 4)), size));
+  speck.setIndex(new THREE.BufferAttribute(Uint16Array.of(0, 1, 2), 1));
+  const mesh = new THREE.Mesh(speck, material(surface, plain(new THREE.Color(0))));
+  mesh.frustumCulled = false;
+  stage.scene.add(mesh);
+  stage.draw();
+  stage.scene.remove(mesh);
+}
+
+// file: first.glb as an ArrayBuffer. What is drawn, to be taken away when the full avatar is there.
+export async function firstPicture(file, stage, surface) {
+  const { scene } = await new GLTFLoader().parseAsync(file, "");
+  scene.traverse((node) => {
+    if (node.isMesh) node.material = material(surface, node.material.map ?? plain(node.material.color));
+  });
   stage.scene.add(scene);
   return scene;
 }

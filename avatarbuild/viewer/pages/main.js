@@ -1,6 +1,6 @@
 // Begins the viewer: the first picture as soon as it can be there, then everything else (controls.js).
 import { context, firstFile } from "./context.js";
-import { firstPicture } from "./first.js";
+import { firstPicture, prepare } from "./first.js";
 import { Stage } from "./stage.js";
 import { Surface } from "./surface.js";
 
@@ -21,17 +21,15 @@ async function main() {
   $("canvas").addEventListener("webglcontextlost", () => stop("The graphics card gave up (its context was lost). Load the page again."));
   const surface = new Surface(), stage = new Stage($("canvas"), context, $("view"));
   stage.frame();
-  const shown = async (name) => {
-    await stage.painted();
-    performance.mark(name);
-    $("cover").classList.add("gone");
-    document.documentElement.dataset.state = "ready";
-  };
   let first = null;
   try {
+    prepare(stage, surface);
     first = await firstPicture(await firstFile, stage, surface);
     stage.run();
-    await shown("first picture");
+    $("cover").classList.add("gone");
+    await stage.painted();
+    performance.mark("first picture");
+    document.documentElement.dataset.state = "ready";
   } catch (error) {
     console.warn(`There is no first picture: ${error.message}`);
   }

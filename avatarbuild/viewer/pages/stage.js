@@ -3,6 +3,7 @@ import { THREE, OrbitControls } from "./three.js";
 
 const CENTRE = new THREE.Vector3(0, -0.025, -0.03); // metres: the middle of a face and its hair
 const FOV = 24, DISTANCE = 0.76;
+const NEAR = 4000; // pixels a metre of the picture from which more texels than the first albedo's are seen
 const QUICK = 34, TOO_LONG = 110, RESTED = 400; // milliseconds from picture to picture
 
 export class Stage {
@@ -24,6 +25,7 @@ export class Stage {
     this.controls.addEventListener("change", () => this.redraw());
     this.controls.addEventListener("start", () => this.leaveFilm());
     this.moved = null; // called before every picture
+    this.near = null; // called once, when the face is seen from near
     this.running = this.whole = false; // whole: the avatar is shown, and not the first picture alone
     this.film = null; // the lens that is looked through: { size: [w, h], focal } in pixels
     this.dirty = this.shadowStale = true;
@@ -106,6 +108,10 @@ export class Stage {
       renderer.setPixelRatio(ratio);
       renderer.setSize(w, h, false);
     }
+    if (this.near && this.whole && this.pixels() > NEAR) {
+      this.near();
+      this.near = null;
+    }
     if (this.whole) this.avatar.details?.refresh();
     renderer.shadowMap.needsUpdate = this.whole && surface.key.castShadow && (whole || this.shadowStale);
     this.dirty = this.shadowStale = false;
@@ -117,7 +123,7 @@ export class Stage {
   run() {
     if (this.running) return;
     this.running = true;
-    let last = 0, slow = 0, owed = true;
+    let last = 0, slow = 0, owed = false;
     const step = (now) => {
       this.moved?.();
       if (this.dirty) {
@@ -134,6 +140,12 @@ export class Stage {
       requestAnimationFrame(step);
     };
     requestAnimationFrame(step);
+  }
+
+  // of the window, a metre of the face
+  pixels() {
+    const { camera, renderer } = this, far = camera.position.distanceTo(this.centre);
+    return renderer.domElement.height / (2 * far * Math.tan(THREE.MathUtils.degToRad(camera.fov / 2)));
   }
 
   // until a picture that has been asked for is on the screen

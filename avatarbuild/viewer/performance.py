@@ -1,4 +1,4 @@
-"""What the viewer's page asks for last: the performance, and the transferred rig when it is chosen."""
+"""The tracked performance as the viewer's page plays it."""
 
 from __future__ import annotations
 
@@ -6,18 +6,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
-from avatarbuild.artefacts import Blendshapes
 from avatarbuild.errors import InputError
-from avatarbuild.formats import avatar_glb
 from avatarbuild.geometry.head_pose import head_angles
-from avatarbuild.project import Project
-from avatarbuild.template import ARKIT_NAMES, Template
-
-_LEAST_MOTION, _LEAST_TURN = 0.02, 0.6  # mm, degrees: less than this the other rig leaves out
-_PIXEL = np.full((1, 1, 3), 128, np.uint8)
+from avatarbuild.template import ARKIT_NAMES
 
 
 def performance(track: Path) -> dict[str, Any]:
@@ -39,12 +32,3 @@ def performance(track: Path) -> dict[str, Any]:
         }
     except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
         raise InputError(f"{track} is damaged ({error}): run stage avatar again") from error
-
-
-def transferred(project: Project, template: Template) -> bytes:
-    """The rig of stage blendshapes, transferred from the template, as a GLB with the same meshes and no pictures."""
-    rig = project.read("blendshapes", Blendshapes)
-    pixel = cv2.imencode(".png", _PIXEL)[1].tobytes()
-    grey = cv2.imencode(".png", _PIXEL[..., 0])[1].tobytes()
-    shapes = avatar_glb.Rig(rig.neutral, rig.deltas, rig.eye_centres, _LEAST_MOTION, _LEAST_TURN)
-    return avatar_glb.write(template, shapes, avatar_glb.Pictures(pixel, pixel, pixel, grey), {}).glb
