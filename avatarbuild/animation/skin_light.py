@@ -10,7 +10,7 @@ from avatarbuild.texture.occlusion import between_skin
 _DARKEST = 0.02
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def bent(smooth: np.ndarray, tangents: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     """
     (h, w, 3) float32 unit normals n' ~ n - a t - b (w n x t) of smooth normals n (h, w, 3), tangents t with their
@@ -39,7 +39,7 @@ def bent(smooth: np.ndarray, tangents: np.ndarray, slopes: np.ndarray) -> np.nda
     return out
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def shading(normals: np.ndarray, y: np.ndarray) -> np.ndarray:
     """s(n) = max(y^T phi(n), 0.02): (h, w, 3) float32 of unit normals (h, w, 3), y (9, 3); zero where n is nil."""
     out = np.zeros(normals.shape, np.float32)

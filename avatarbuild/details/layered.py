@@ -13,7 +13,7 @@ import numpy as np
 _BLOCK = 4096  # texels
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, nogil=True, parallel=True)
 def evaluate(
     flat: np.ndarray,
     corners: np.ndarray,
@@ -41,7 +41,7 @@ def evaluate(
         out[at, 3] = min(max(o, np.float32(0)), np.float32(1))
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, nogil=True, parallel=True)
 def gather(
     flat: np.ndarray,
     corners: np.ndarray,
@@ -79,7 +79,7 @@ def gather(
                     right[texel, i, layer] += cv * maps[at, layer]
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, nogil=True, parallel=True)
 def solve(left: np.ndarray, right: np.ndarray, prior: np.ndarray, weights: np.ndarray) -> None:
     """
     weights (t, terms, 4) = (left + diag(prior))^-1 (right + prior_0 e_0 (0, 0, 1, 1)^T), by Cholesky: the prior draws
@@ -119,7 +119,7 @@ def solve(left: np.ndarray, right: np.ndarray, prior: np.ndarray, weights: np.nd
                     weights[texel, i, layer] = b[i, layer]
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, nogil=True, parallel=True)
 def misfit(
     flat: np.ndarray,
     corners: np.ndarray,

@@ -118,7 +118,7 @@ def _mix(texels: np.ndarray, corners: tuple[int, int, int, int], weights: tuple[
 
 
 # Products may be fused with sums; the rest of fastmath would let results depend on how the loop is vectorised.
-@numba.njit(cache=True, parallel=True, error_model="numpy", fastmath={"contract"})
+@numba.njit(cache=True, nogil=True, parallel=True, error_model="numpy", fastmath={"contract"})
 def _sample(
     texels: np.ndarray,
     channels: int,

@@ -108,7 +108,7 @@ def box_average(image: np.ndarray, factor: int) -> np.ndarray:
     return out.reshape(h, w, *image.shape[2:])
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, nogil=True, parallel=True)
 def _box_average(image: np.ndarray, factor: int, out: np.ndarray) -> None:
     for row in numba.prange(out.shape[0]):
         for column in range(out.shape[1]):
@@ -120,7 +120,7 @@ def _box_average(image: np.ndarray, factor: int, out: np.ndarray) -> None:
                 out[row, column, c] = total / (factor * factor)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _rows(
     snapped: np.ndarray, usable: np.ndarray, faces: np.ndarray, h: int, cull: bool
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -143,7 +143,7 @@ def _rows(
     return first, last
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _bins(first: np.ndarray, last: np.ndarray, bands: int) -> tuple[np.ndarray, np.ndarray]:
     """Triangles of every band of rows, in order: members[starts[b]:starts[b + 1]]."""
     starts = np.zeros(bands + 1, np.int64)
@@ -174,7 +174,7 @@ def _bias(ax: int, ay: int, bx: int, by: int) -> int:
     return 0 if by < ay or (by == ay and bx > ax) else -1
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, nogil=True, parallel=True)
 def _draw(
     snapped: np.ndarray,
     inverse: np.ndarray,
@@ -257,7 +257,7 @@ def _draw(
                 barycentric[row, column, 2] = l2 * z
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, nogil=True, parallel=True)
 def _interpolate(
     values: np.ndarray, faces: np.ndarray, triangle: np.ndarray, barycentric: np.ndarray, out: np.ndarray
 ) -> None:

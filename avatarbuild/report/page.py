@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from html import escape
 from importlib.resources import files
 from typing import Any
 
 from avatarbuild.artefacts import Albedo, Blendshapes, Cameras, Capture, Cloud, Details, Neutral, Performance
+from avatarbuild.parallel import each_alone
 from avatarbuild.report import heads, overlay, sections, words
 from avatarbuild.report.html import duration, paragraph, picture, row
 from avatarbuild.report.performance import performance_section
@@ -58,21 +60,22 @@ def page(
     todo = words.cautions(stages)
     absent = {"performance": not filmed, "details": not details.files}
     links = "".join(f'<li><a href="#{key}">{name}</a></li>' for key, name in _PLACES if not absent.get(key))
-    body = [
-        _opening(capture, cameras, figure, stages),
-        _verdict(capture, cameras, points, neutral, template, stages, len(todo)),
-        f'</header><nav aria-label="Sections"><ul>{links}</ul></nav><main>',
-        sections.advice(todo),
-        sections.coverage(capture, cameras, found, neutral, template),
-        sections.cloud(points, neutral),
-        sections.fit(capture, found, neutral, template),
-        sections.expressions(figure),
-        performance_section(capture, performance, blendshapes, figure, template) if filmed else "",
-        wrinkles_section(details, performance, albedo, own, template),
-        sections.figures(stages),
-        "</main>",
-        _closing(stages, template),
+    parts: list[Callable[[], str]] = [
+        lambda: _opening(capture, cameras, figure, stages),
+        lambda: _verdict(capture, cameras, points, neutral, template, stages, len(todo)),
+        lambda: f'</header><nav aria-label="Sections"><ul>{links}</ul></nav><main>',
+        lambda: sections.advice(todo),
+        lambda: sections.coverage(capture, cameras, found, neutral, template),
+        lambda: sections.cloud(points, neutral),
+        lambda: sections.fit(capture, found, neutral, template),
+        lambda: sections.expressions(figure),
+        lambda: performance_section(capture, performance, blendshapes, figure, template) if filmed else "",
+        lambda: wrinkles_section(details, performance, albedo, own, template),
+        lambda: sections.figures(stages),
+        lambda: "</main>",
+        lambda: _closing(stages, template),
     ]
+    body = list(each_alone(lambda make: make(), parts, ahead=len(parts)))
     style = files("avatarbuild.report").joinpath("page.css").read_text(encoding="utf-8")
     head = (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Avatar report</title>'

@@ -13,6 +13,7 @@ import numpy as np
 
 from avatarbuild.formats.colour import linear_from_srgb, srgb_from_linear
 
+_LINEAR = linear_from_srgb(np.arange(256) / 255.0)
 _REACH = 11.0  # mm: surfaces nearer than this darken one another
 _TAPS = 6  # directions that a pixel looks for them; its four neighbours look in others
 _OCCLUSION, _DARKEST = 0.95, 0.25
@@ -62,7 +63,7 @@ def occlusion(depth: np.ndarray, normals: np.ndarray, focal: float) -> np.ndarra
 def decode_srgb(value: np.ndarray | Sequence[float]) -> np.ndarray:
     """Linear light of sRGB values: uint8 in 0..255, floats in 0..1."""
     array = np.asarray(value)
-    return linear_from_srgb(array / 255.0 if array.dtype == np.uint8 else array)
+    return _LINEAR[array] if array.dtype == np.uint8 else linear_from_srgb(array)
 
 
 def encode_srgb(linear: np.ndarray) -> np.ndarray:
@@ -70,7 +71,7 @@ def encode_srgb(linear: np.ndarray) -> np.ndarray:
     return np.round(255 * srgb_from_linear(np.clip(linear, 0, 1))).astype(np.uint8)
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _occlusion(depth: np.ndarray, normals: np.ndarray, focal: float, taps: np.ndarray, out: np.ndarray) -> None:
     h, w = depth.shape
     for row in numba.prange(h):
@@ -101,7 +102,7 @@ def _occlusion(depth: np.ndarray, normals: np.ndarray, focal: float, taps: np.nd
             out[row, column] = max(_DARKEST, 1.0 - _OCCLUSION * 2 * total / _TAPS)
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def _shade(
     depth: np.ndarray,
     smooth: np.ndarray,

@@ -64,7 +64,7 @@ def _turned(R: np.ndarray, v: np.ndarray) -> tuple[float, float, float]:
     )
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _splat(
     points: np.ndarray,
     normals: np.ndarray,

@@ -29,6 +29,7 @@ from avatarbuild.formats.details import JSON_FILE
 from avatarbuild.formats.images import encode_jpeg, encode_png
 from avatarbuild.formats.track import track_csv, track_json
 from avatarbuild.options import AvatarOptions
+from avatarbuild.parallel import in_order
 from avatarbuild.progress import Progress
 from avatarbuild.report.page import page
 from avatarbuild.template import Template
@@ -58,12 +59,10 @@ def run(
         performance.neutral, performance.deltas, performance.eye_centres, options.least_motion, options.least_turn
     )
     with progress.task("avatar.glb", 1) as task:
-        pictures = avatar_glb.Pictures(
-            eye=encode_png(neutral.eye_texture),
-            albedo=encode_jpeg(albedo.albedo, options.albedo_quality),
-            normal=encode_png(albedo.normal),
-            occlusion=encode_png(albedo.occlusion),
-        )
+        pngs = (albedo.albedo, albedo.coverage, neutral.eye_texture, albedo.normal, albedo.occlusion)
+        albedo_png, coverage_png, eye, normal, occlusion = in_order(encode_png, pngs)
+        jpeg = encode_jpeg(albedo.albedo, options.albedo_quality)
+        pictures = avatar_glb.Pictures(eye=eye, albedo=jpeg, normal=normal, occlusion=occlusion)
         scale = {key: value for key, value in plain(cameras.scale).items() if not isinstance(value, list | dict)}
         extras: dict[str, Any] = {"scale": scale, "evidence": evidence(template, performance)}
         if states := wrinkle_states(template, details, performance):
@@ -83,8 +82,8 @@ def run(
     }
     files = {
         "avatar.glb": made.glb,
-        "albedo.png": encode_png(albedo.albedo),
-        "coverage.png": encode_png(albedo.coverage),
+        "albedo.png": albedo_png,
+        "coverage.png": coverage_png,
     }
     if len(performance.times):
         files |= {"track.json": track_json(performance), "track.csv": track_csv(performance)}
