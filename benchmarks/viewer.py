@@ -6,9 +6,9 @@ GL, the shader.
 
 PROJECT has a finished avatar. Needs Chromium (AVATARBUILD_CHROMIUM names its program). The browser runs already and
 rests; time counts from the command's start to the frame after the picture's, in a window of 640 x 640. FOLDER gets what
-the window shows at both times. Then a picture is drawn at 640 x 640 with all 52 shapes at work and the shadow made anew,
-and read back, so that nothing is left in a queue. On a machine that does other work too, core-seconds tell more than
-seconds.
+the window shows at both times. Then pictures are drawn at 640 x 640 with all 52 shapes at work and the shadow made
+anew, and read back, so that nothing is left in a queue. On a machine that does other work too, core-seconds tell more
+than seconds.
 """
 
 from __future__ import annotations

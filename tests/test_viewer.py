@@ -74,6 +74,40 @@ def test_page_loads_without_a_word_on_the_console(page):
     assert picture.std() > 12  # neither blank nor one colour
 
 
+def test_the_first_picture_shows_the_head_before_the_rest_is_there(page, project):
+    """Head, albedo and light: where the full picture has the head, and nearly as bright."""
+    table, waited = scene.files(project, live=None), threading.Event()
+    later = table["data/avatar.glb"]
+
+    def held() -> Path | bytes:
+        waited.wait(60)
+        return later() if callable(later) else later
+
+    table["data/avatar.glb"] = held
+    with server.serving(server.application(table)) as address, devtools.browser() as early:
+        early.size(*SIZE)
+        early.open(address)
+        assert early.wait(READY, 60) == "ready"
+        first = _kept(early.picture(), "first")
+        assert early.evaluate("document.documentElement.dataset.whole") is None
+        canvas = early.evaluate("(({ width, height }) => [width, height])(document.getElementById('canvas'))")
+        waited.set()
+        early.wait("document.documentElement.dataset.whole === 'ready'", 60)
+        early.evaluate("viewer.timeline.seek(0); viewer.setWeights({})")
+        early.evaluate("document.getElementById('timeline').hidden = true")
+        early.wait(f"document.getElementById('canvas').height === {canvas[1]}", 30)
+        early.evaluate("viewer.stage.draw(true)")
+        full = _kept(early.picture(), "first-full")
+        assert early.faults == []
+    seen = slice(0, canvas[1] - 10), slice(0, canvas[0])
+    one, other = (cv2.GaussianBlur(shown[seen], (0, 0), 4).astype(float) for shown in (first, full))
+    heads = [shown.mean(axis=-1) > 70 for shown in (one, other)]
+    assert heads[0].mean() > 0.08
+    assert (heads[0] & heads[1]).sum() > 0.85 * (heads[0] | heads[1]).sum()
+    assert np.abs(one - other)[heads[0] & heads[1]].mean() < 40
+    assert np.abs(one - other)[~(heads[0] | heads[1])].mean() < 5
+
+
 def test_sliders_move_vertices_and_their_partners(page):
     _set(page, {})
     before = _drawn(page)

@@ -21,6 +21,7 @@ from avatarbuild.simulation.subject import random_subject
 from avatarbuild.template import Template, expression_weights
 
 SIDE = 256
+STAMP = {"timing": {"seconds": 1.0}}
 FROWN = {"browDownLeft": 1.0, "browDownRight": 1.0, "mouthFrownLeft": 0.6, "mouthFrownRight": 0.6}
 _TAUGHT: tuple[dict[str, float], ...] = (
     {},
@@ -96,10 +97,10 @@ def project(folder: Path, *, details: bool = True, tracked: bool = True) -> Proj
     (made.root / "project.toml").write_text('capture = "../capture"\ntemplate = "head"\n')
     for name, data in files(template, rig, details=details, tracked=tracked).items():
         (made.folder("avatar") / name).write_bytes(data)
-    made.save("albedo", albedo(), {})
-    made.save("blendshapes", rig, {})
+    made.save("albedo", albedo(), STAMP)
+    made.save("blendshapes", rig, STAMP)
     if tracked:
-        made.save("tracking", performances.performance(rig, size=(96, 128)), {})
+        made.save("tracking", performances.performance(rig, size=(96, 128)), STAMP)
         grey = (np.full((128, 96, 3), 20 * i, np.uint8) for i in range(12))
         encode_clip(folder / "capture" / "video" / "MOV_0001.mp4", grey, 30.0)
     return made

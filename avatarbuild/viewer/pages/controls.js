@@ -330,6 +330,7 @@ export async function control(stage, surface, first) {
   $("cover").classList.add("gone");
   await stage.painted();
   performance.mark("full picture");
+  $("state").textContent = "";
 
   // texels that the picture would not show are not fetched
   async function sharpen() {

@@ -64,5 +64,6 @@ export async function firstPicture(file, stage, surface) {
     if (node.isMesh) node.material = material(surface, node.material.map ?? plain(node.material.color));
   });
   stage.scene.add(scene);
+  stage.redraw();
   return scene;
 }

@@ -30,6 +30,7 @@ async function main() {
     await stage.painted();
     performance.mark("first picture");
     document.documentElement.dataset.state = "ready";
+    $("state").textContent = "The full picture is being prepared …";
   } catch (error) {
     console.warn(`There is no first picture: ${error.message}`);
   }
