@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import rich.console
 import rich.markup
-import rich.progress
-import rich.table
 import typer
 
 from avatarbuild import __version__
@@ -27,6 +25,8 @@ from avatarbuild.template_files import SHIPPED, resolve
 from avatarbuild.whole_file import whole_file
 
 if TYPE_CHECKING:  # what is heavy is imported by the verb that uses it
+    import rich.progress
+
     from avatarbuild import pipeline
     from avatarbuild.formats.corrections import Corrections
 
@@ -57,6 +57,8 @@ class Bars:
         if not screen.is_terminal:
             yield _Lines(label, total)
             return
+        import rich.progress
+
         columns = (
             rich.progress.TextColumn("  {task.description}"),
             rich.progress.BarColumn(bar_width=30),
@@ -203,13 +205,15 @@ def _line_json(line: pipeline.StageState) -> dict[str, Any]:
 @app.command()
 def status(project_folder: ProjectPath, as_json: Json = False) -> None:
     """A table of the stages: fresh, stale or missing, seconds, figures."""
+    from rich.table import Table
+
     project = _existing(project_folder)
     lines = _states(project)
     if as_json:
         answer = {"version": JSON_VERSION, "project": str(project.root), "stages": [_line_json(line) for line in lines]}
         typer.echo(json.dumps(answer, indent=1, ensure_ascii=False))
         return
-    table = rich.table.Table("stage", "state", "seconds", "figures", box=None)
+    table = Table("stage", "state", "seconds", "figures", box=None)
     for line in lines:
         seconds = "" if line.seconds is None else f"{line.seconds:.0f}"
         table.add_row(line.name, line.state, seconds, _figures(line))
@@ -380,6 +384,8 @@ def clean(
     ] = None,
 ) -> None:
     """Show what a project takes on disk; with --stage, delete that."""
+    from rich.table import Table
+
     from avatarbuild import pipeline
 
     project = _existing(project_folder)
@@ -389,7 +395,7 @@ def clean(
     with project.lock():
         for stage in stages or []:
             project.remove(stage)
-        table = rich.table.Table("folder", "MB", box=None)
+        table = Table("folder", "MB", box=None)
         for name, size in project.sizes().items():
             table.add_row(name, f"{size / 1e6:.1f}")
         rich.console.Console().print(table)
@@ -398,11 +404,13 @@ def clean(
 @app.command()
 def options(as_json: Json = False) -> None:
     """Every option of every stage: default, unit, sentence."""
+    from rich.table import Table
+
     rows = all_options.described()
     if as_json:
         typer.echo(json.dumps({"version": JSON_VERSION, "options": rows}, indent=1, ensure_ascii=False))
         return
-    table = rich.table.Table("option", "default", "draft", "high", "unit", "what it does", box=None)
+    table = Table("option", "default", "draft", "high", "unit", "what it does", box=None)
     for row in rows:
         values = [row["default"], row["draft"], row["high"]]
         table.add_row(row["option"], *[str(v) for v in values], row["unit"], row["sentence"])

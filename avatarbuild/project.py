@@ -15,8 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import filelock
-
 from avatarbuild.errors import InputError
 from avatarbuild.template_files import SHIPPED, TemplateFile, resolve
 from avatarbuild.whole_file import whole_file
@@ -153,6 +151,8 @@ class Project:
             raise InputError(f"{self.root} is a file: name a folder for the project with -o") from None
         except OSError as error:
             raise InputError(f"the project folder {self.root} cannot be made: {error.strerror}") from None
+        import filelock
+
         held = filelock.FileLock(self.root / ".lock", timeout=0)
         try:
             held.acquire()

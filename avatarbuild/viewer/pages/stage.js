@@ -48,6 +48,7 @@ export class Stage {
     scene.add(avatar.root);
     if (before) scene.remove(before);
     this.whole = true;
+    this.resize(); // the time line has taken its place: drawn once, and not again when the observer tells
     this.redraw(true);
   }
 
