@@ -8,10 +8,8 @@ from avatarbuild.artefacts import Blendshapes
 from avatarbuild.contacts import STILL, Contacts, Head
 from avatarbuild.energies import jaw
 from avatarbuild.geometry.similarity import similarity
-from avatarbuild.template import COMBINATION_LIMITS, Template
+from avatarbuild.template import COMBINATION_LIMITS, MOUTH_PARTS, Template
 from avatarbuild.tracking.rig import Rig
-
-MOUTH_PARTS = ("teeth_upper", "teeth_lower", "gums", "tongue")
 
 
 def in_template_s_frame(t: Template, vertices: np.ndarray, eye_centres: np.ndarray) -> tuple[Head, float, np.ndarray]:

@@ -32,7 +32,8 @@ ARKIT_NAMES: tuple[str, ...] = (
     *("browDownRight", "browInnerUp", "browOuterUpLeft", "browOuterUpRight", "cheekPuff", "cheekSquintLeft"),
     *("cheekSquintRight", "noseSneerLeft", "noseSneerRight", "tongueOut"),
 )
-PART_NAMES = ("skin", "eye_left", "eye_right", "teeth_upper", "teeth_lower", "gums", "tongue")
+MOUTH_PARTS = ("teeth_upper", "teeth_lower", "gums", "tongue")
+PART_NAMES = ("skin", "eye_left", "eye_right", *MOUTH_PARTS)
 REGION_NAMES = ("face", "lips", "lids", "nose", "brows", "ears", "scalp", "neck", "sockets", "mouth")
 CONTOUR_NAMES = (
     *("lips_outer_upper", "lips_outer_lower", "lips_inner_upper", "lips_inner_lower"),

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from avatarbuild.registration.inner_parts import FEATURES, MOUTH, inner_parts, stretch_between
+from avatarbuild.registration.inner_parts import FEATURES, inner_parts, stretch_between
 from avatarbuild.simulation.subject import random_subject
-from avatarbuild.template import Template
+from avatarbuild.template import MOUTH_PARTS, Template
 
 RADIUS = np.full(2, 12.0)
 
@@ -38,7 +38,9 @@ def test_a_stretched_template_gets_stretched_parts(template):
     scaled = (template.mean * [1.05, 0.96, 1.1]) @ turn.T + [3, -4, 5]
     centres = (template.eye_centres * [1.05, 0.96, 1.1]) @ turn.T + [3, -4, 5]
     found = inner_parts(template, None, scaled, centres, RADIUS, turn)
-    np.testing.assert_allclose(found.vertices[rows(template, MOUTH)], scaled[rows(template, MOUTH)], atol=1e-5)
+    np.testing.assert_allclose(
+        found.vertices[rows(template, MOUTH_PARTS)], scaled[rows(template, MOUTH_PARTS)], atol=1e-5
+    )
     assert (found.back, found.poke) == (0, 0)
     assert found.lips > 3
     skin = template.parts["skin"].vertices

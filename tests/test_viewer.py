@@ -22,7 +22,7 @@ import viewer_project
 from avatarbuild.animation.skin_light import bent
 from avatarbuild.errors import InputError
 from avatarbuild.formats.details import read_details
-from avatarbuild.formats.gltf import read_glb
+from avatarbuild.formats.gltf import read_glb, with_picture
 from avatarbuild.formats.track import track_csv
 from avatarbuild.geometry.meshes import vertex_normals, vertex_of_uv
 from avatarbuild.geometry.mipmap import build_mipmap, sample_texture
@@ -420,6 +420,21 @@ def test_pictures_are_halved_for_the_start(side, kind, made):
         assert picture.shape == (made, made // 2, 3)
         assert np.abs(picture[5, 5].astype(int) - (60, 120, 180)).max() <= 3
     assert start.halved(b"no picture", 1024) is None
+
+
+def test_a_large_albedo_is_halved_in_the_file_and_nothing_else(tmp_path):
+    big = cv2.imencode(".jpg", np.full((4096, 4096, 3), (60, 120, 180), np.uint8))[1].tobytes()
+    made = viewer_project.files(synthetic.template(), viewer_project.shapes(), details=False, tracked=False)
+    whole = read_glb(with_picture(read_glb(made["avatar.glb"]), "albedo", big))
+    lighter = read_glb(start.lighter(whole, tmp_path))
+    data = lighter.view(lighter.named("images", "albedo")["bufferView"])
+    small = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    assert small.shape == (2048, 2048, 3)
+    assert np.abs(small[5, 5].astype(int) - (60, 120, 180)).max() <= 3
+    for name in ("eye", "normal", "occlusion"):
+        own, kept = (glb.view(glb.named("images", name)["bufferView"]) for glb in (whole, lighter))
+        assert own == kept
+    assert start.lighter(lighter, tmp_path) == tmp_path
 
 
 def test_details_name_no_file_elsewhere(tmp_path):

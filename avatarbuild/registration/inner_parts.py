@@ -8,9 +8,8 @@ import igl
 import numpy as np
 
 from avatarbuild.registration.eye_shape import EYES, eye_shape
-from avatarbuild.template import Template
+from avatarbuild.template import MOUTH_PARTS, Template
 
-MOUTH = ("teeth_upper", "teeth_lower", "gums", "tongue")
 # landmark -> weight: what a mouth's inside is fitted to. Lips' corners, inner and outer rims, base of the nose, chin;
 # cheeks, jaw and the skin before the ears, which alone tell how deep a head is
 FEATURES = {
@@ -99,7 +98,7 @@ def inner_parts(
             own = (template.mean[ball] - template.eye_centres[k]) * (radius[k] / shape.radius)
             vertices[ball] = own @ turn.T + centres[k]
     stretch = _of_mouth(template, model, vertices)
-    here = [template.parts[name].vertices for name in MOUTH if name in template.parts]
+    here = [template.parts[name].vertices for name in MOUTH_PARTS if name in template.parts]
     if not len(_hard(template)):
         return InnerParts(vertices, stretch, 0.0, np.inf, 0.0)
     inside = np.concatenate([np.arange(r.start, r.stop) for r in here])

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from avatarbuild.template import Template
+from avatarbuild.template import MOUTH_PARTS, Template
 from avatarbuild.template_import.foreign import ForeignHead
 from avatarbuild.template_import.wrap import EXTENSION, Extension, Wrap, extension, wrap
 
@@ -191,7 +191,7 @@ def _mouth(shipped: Template, head: ForeignHead, mean: np.ndarray, identity: np.
     about = np.flatnonzero(usable & (np.linalg.norm(rest - lips, axis=1) < MOUTH_REACH))
     inner = np.concatenate(
         [np.arange(shipped.parts[name].vertices.start, shipped.parts[name].vertices.stop)
-         for name in ("teeth_upper", "teeth_lower", "gums", "tongue") if name in shipped.parts]
+         for name in MOUTH_PARTS if name in shipped.parts]
     )  # fmt: skip
     if not len(inner):
         return

@@ -21,7 +21,7 @@ import igl
 import numpy as np
 
 from avatarbuild.geometry.meshes import vertex_normals
-from avatarbuild.template import Template, expression_weights
+from avatarbuild.template import MOUTH_PARTS, Template, expression_weights
 from avatarbuild.texture import occlusion
 from avatarbuild.texture.chart import Chart, continued, draw_chart
 
@@ -36,7 +36,6 @@ _SHOWN = (  # expressions that show what is in the mouth
     expression_weights(jawOpen=1.0),
     expression_weights(jawOpen=0.15, mouthSmile=0.7, mouthUpperUp=0.6, mouthLowerDown=0.6),
 )
-_INNER = ("teeth_upper", "teeth_lower", "gums", "tongue")
 
 
 @dataclass(frozen=True)
@@ -242,7 +241,7 @@ def mouth_openness(template: Template) -> np.ndarray:
 def _in_the_mouth(template: Template) -> np.ndarray:
     """(n,) bool: teeth, gums, tongue and the skin within the lips."""
     inside = template.regions["mouth"].copy()
-    for name in _INNER:
+    for name in MOUTH_PARTS:
         if name in template.parts:
             inside[template.parts[name].vertices] = True
     return inside

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from avatarbuild.errors import InputError
 from avatarbuild.project import Project
-from avatarbuild.viewer.server import LIBRARY, Content, library, once, page_files
+from avatarbuild.viewer.server import LIBRARY, Content, library, page_files
 
 if TYPE_CHECKING:
     from avatarbuild.formats.gltf import Gltf
@@ -77,7 +77,7 @@ def files(project: Project, *, live: int | None) -> dict[str, Content]:
         about["transferred"] = True
         table["data/transferred.glb"] = made.transferred
     table["data/scene.json"] = lambda: json.dumps(about | made.about()).encode()
-    return {address: once(content) if callable(content) else content for address, content in table.items()}
+    return table
 
 
 class _Made:

@@ -68,10 +68,11 @@ def warm(table: dict[str, server.Content]) -> None:
     """Begins with what the first picture needs while the browser still starts; the table keeps what is made."""
     make = table["data/first.glb"]
     assert callable(make)
+    table["data/first.glb"] = kept = server.once(make)
 
     def begin() -> None:
         try:
-            make()
+            kept()
         except InputError as error:  # the page says so when it asks
             log.warning("%s", error)
 
