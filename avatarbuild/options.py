@@ -92,7 +92,7 @@ class NeutralOptions:
     presence: float = option(0.9, "probability", "Least presence score of photos whose landmarks count.", least=0.0)
     max_yaw: float = option(60.0, "degrees", "Largest head yaw of photos whose landmarks count.", least=10.0)
     model_prior: float = option(
-        0.5, "mm^2 / 100 sd^2", "Weight of the morphable model's prior against the cloud.", least=0.0
+        0.32, "mm^2 / 100 sd^2", "Weight of the morphable model's prior against the cloud.", least=0.0
     )
     model_landmarks: float = option(0.05, "ratio", "Weight of landmarks beside the cloud, in the last fit.", least=0.0)
     model_landmark_sd: float = option(2.5, "mm", "Standard deviation of landmarks on the morphable model.", least=0.1)

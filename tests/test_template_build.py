@@ -51,6 +51,37 @@ def test_size_and_parts(head):
     assert "Mika Suominen" in (folder / "NOTICE").read_text()
 
 
+def test_proportions_vary_as_among_people(head):
+    """Relative deviations as published; the sources stand in benchmarks/template.py."""
+    marks = np.stack([head.landmarks(head.neutral(a)) for a in heads(head, 300)])
+    size = {
+        name: np.linalg.norm(marks[:, i] - marks[:, j], axis=1)
+        for name, i, j in (
+            *(("face width", 234, 454), ("face height", 168, 152), ("nose width", 129, 358), ("nose height", 168, 2)),
+            ("pupils", 468, 473),
+        )
+    }
+    for part, whole, people in (
+        ("face height", "face width", 0.077),
+        ("nose width", "nose height", 0.102),
+        ("pupils", "face width", 0.054),
+        ("pupils", "face height", 0.073),
+    ):
+        ratio = size[part] / size[whole]
+        assert 0.85 < ratio.std() / ratio.mean() / people < 1.15, (part, whole)
+
+
+def test_scaled_to_people_it_is_the_same_linear_head(head, builder):
+    identity = builder["identity"]
+    scaled = identity.as_people_vary(head)
+    for a in heads(head, 2):
+        b = identity.PEOPLE * a
+        np.testing.assert_allclose(scaled.neutral(a), head.neutral(b), atol=1e-9)
+        np.testing.assert_allclose(scaled.eye_positions(a), head.eye_positions(b), atol=1e-9)
+    moved = np.sqrt((scaled.identity**2).sum(axis=2).mean(axis=1))
+    np.testing.assert_allclose(scaled.sigma, moved, rtol=1e-2)
+
+
 def test_frame_is_about_the_eyeballs(head):
     np.testing.assert_allclose(head.eye_centres.mean(axis=0), 0, atol=1e-4)
     assert head.eye_centres[0, 0] > 25

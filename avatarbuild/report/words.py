@@ -70,7 +70,7 @@ FIGURES: dict[str, dict[str, Figure]] = {
         "face_to_cloud_mm_p90": Figure("Of nine tenths", "mm", "Nine tenths of the face are nearer than this."),
         "face_seen": Figure("Face seen", "", "Share of the face that points decided; the rest is experience's."),
         "model_scale": Figure("Size", "", "Against the template's mean head, which is 1."),
-        "model_sd": Figure("Unlikeness", "", "To the mean head, in standard deviations; above 1.5 is unusual."),
+        "model_sd": Figure("Unlikeness", "", "From the mean head, in people's standard deviations; above 1.5 is rare."),
         "eye_radius_mm": Figure("Eyeballs' radius", "mm", "People's are 11.5 to 12.5."),
         "eyes_follow_camera": Figure("Eyes follow the camera", "", "0: they kept looking ahead; 1: into each photo."),
         "lid_gap_mm": Figure("Lids off the eyeballs", "mm", "The largest gap between a lid's rim and the eyeball."),

@@ -37,10 +37,7 @@ class SimulationOptions:
     texture: int = option(2048, "texels", "Side of the skin's texture.", least=128)
     supersampling: int = option(2, "pixels", "Samples along each side of a pixel.", least=1)
     identity_spread: float = option(
-        0.7,
-        "factor",
-        "Standard deviation of the template's coefficients: 1 is its own, rather wild, sampling.",
-        least=0,
+        0.875, "factor", "Standard deviation of the template's coefficients: 1 is as people vary.", least=0
     )
     deviation: float = option(
         1.0, "factor", "How far person and expressions leave the template's linear space.", least=0

@@ -74,7 +74,7 @@ def build_studio(
     texture: int,
     texel: float,
     *,
-    spread: float = 0.7,
+    spread: float = 0.875,
     deviation: float = 1.0,
     second_person: bool = False,
     light: int = -1,

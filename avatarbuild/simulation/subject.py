@@ -58,7 +58,7 @@ class Subject:
 
 
 def random_subject(
-    template: Template, rng: np.random.Generator, *, spread: float = 0.7, deviation: float = 1.0
+    template: Template, rng: np.random.Generator, *, spread: float = 0.875, deviation: float = 1.0
 ) -> Subject:
     """Coefficients ~ N(0, spread^2); `deviation` scales all that leaves the template's space (1: about 0.8 mm)."""
     p = len(template.identity)

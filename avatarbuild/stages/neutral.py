@@ -37,9 +37,9 @@ BEYOND_FACE = 0.15  # how much scalp, ears and neck count in the model's fit: ha
 MEASURED = 10.0  # mm: the cloud is looked for this far from the finished head
 FIXED_STEPS = 5
 
-BY_LANDMARKS = [Step(0, 1, prior, 1) for prior in (30, 10, 10, 5, 5)]
+BY_LANDMARKS = [Step(0, 1, prior, 1) for prior in (19.2, 6.4, 6.4, 3.2, 3.2)]
 """Landmarks alone, the prior from stiff to loose."""
-COARSE_CLOUD = [Step(100, 1, 20, 20), Step(100, 0.5, 5, 12), Step(100, 0.1, 1, 8)]
+COARSE_CLOUD = [Step(100, 1, 12.8, 20), Step(100, 0.5, 3.2, 12), Step(100, 0.1, 0.64, 8)]
 """Then the cloud, from far and with landmarks as a leash."""
 
 

@@ -52,11 +52,12 @@ def build(wheel: Path) -> Template:
     heads = identity.align(identity.sample_heads(data, cage.matrix), face, cage.mirror, cage.neutral)
     mean, components = identity.modes(heads, weights, cage.mirror, identity.COMPONENTS)
     say(start, f"{len(components)} identity components of {len(heads)} heads")
-    return assemble.assemble(
+    template = assemble.assemble(
         SimpleNamespace(source=data, cage=cage, fine=fine, mean=mean, components=components, names=ARKIT_NAMES),
         VERSION,
         lambda words: say(start, words),
     )
+    return identity.as_people_vary(template)
 
 
 def main() -> None:
