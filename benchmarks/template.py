@@ -187,10 +187,10 @@ def indices(template: Template, count: int = 300) -> None:
 
     Sources, each group that was told apart (PUBLISHED): Gordon et al. 2014, 2012 anthropometric survey of U.S. Army
     personnel, 6068 men and women (bizygomatic breadth 139.7 ± 7.3, menton-sellion length 119.5 ± 7.9, interpupillary
-    breadth 63.3 ± 3.65 mm, correlations 0.46, 0.52, 0.31, as others have computed them from its public tables: a ratio's
-    variance is c_1^2 + c_2^2 - 2 r c_1 c_2 of the relative deviations c). Wai et al. 2015, Nasofacial anthropometric study among university students of three races in
-    Malaysia, 200. KC et al., Nasal parameters and facial index in medical undergraduates, Journal of Lumbini Medical
-    College, 156 men and women.
+    breadth 63.3 ± 3.65 mm, correlations 0.46, 0.52, 0.31, as others have computed them from its public tables: a
+    ratio's variance is c_1^2 + c_2^2 - 2 r c_1 c_2 of the relative deviations c). Wai et al. 2015, Nasofacial
+    anthropometric study among university students of three races in Malaysia, 200. KC et al., Nasal parameters and
+    facial index in medical undergraduates, Journal of Lumbini Medical College, 156 men and women.
     """
     own = {}
     for spread in SPREADS:
