@@ -336,6 +336,34 @@ def test_shapes_are_learnt_where_points_show_them() -> None:
     np.testing.assert_array_equal(learnt.deltas[:, outside], base.deltas[:, outside])
 
 
+def test_shapes_that_act_together_are_learnt_to_the_end() -> None:
+    """Shapes that overlap, data worth far more than the prior: the steps taken end at the minimum."""
+    t, full = template(), rig()
+    chosen = [t.expression_index[name] for name in ("jawOpen", "mouthFunnel", "mouthSmileLeft", "mouthSmileRight")]
+    base = Rig(full.neutral, full.deltas[chosen], full.triangles)
+    f = fit.wearing(face(), base)
+    skin = t.triangles[t.parts["skin"].triangles]
+    inside = np.flatnonzero(t.regions["face"][skin].all(axis=1))[::4]
+    places = Places(inside, np.full((len(inside), 3), 1 / 3))
+    m = Markers(places, np.zeros((len(inside), 3)), np.ones(len(inside)), np.zeros(len(inside), bool))
+    weights = np.random.default_rng(5).uniform(0.1, 0.9, (6, len(chosen)))
+    frame, pinned, states = frame_of(face(), state(np.zeros(A))), [], []
+    for row in weights:
+        s = state(row, (0.0, 0.02, 0.0))
+        camera = base.rider(places).at(row) @ s.R.T + s.t
+        pictures = LENS.project(camera + 1.5 * row[0] * np.sin(camera[:, ::-1] / 25))[0]
+        pinned.append([Pinned(m, base.rider(places), pictures, np.full(len(inside), 6.0), 50.0)])
+        states.append(s)
+    posed = []
+    for steps, tolerance in ((modelling.Freedom.steps, modelling.Freedom.tolerance), (150, 1e-9)):
+        freedom = modelling.Freedom(steps=steps, tolerance=tolerance)
+        space = modelling.Space(t, base, np.array([0.0, 0.0, 1.0]), freedom)
+        learnt = modelling.learn(space, f, base, [frame] * 6, pinned, states, (), Weights(), freedom)
+        posed.append(np.stack([learnt.posed(s.weights) - base.posed(s.weights) for s in states]))
+    assert np.abs(posed[1]).max() > 1
+    assert np.sqrt(((posed[0] - posed[1]) ** 2).mean() / (posed[1] ** 2).mean()) < 0.05
+
+
 def test_gauge_changes_no_pose() -> None:
     base = rig()
     own = base.deltas * np.linspace(0.7, 1.6, A)[:, None, None]

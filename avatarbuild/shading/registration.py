@@ -74,4 +74,5 @@ def refine(
         return along((moved.reshape(normal.shape) * normal).sum(axis=-1) * worth)
 
     still = np.zeros((1 + len(rig.deltas), len(free), 3))
-    return nearest(space, rig, with_rest(states), pulled, along(worth * offset), still, freedom)
+    diagonal = worth[..., None] * normal**2
+    return nearest(space, rig, with_rest(states), pulled, diagonal, along(worth * offset), still, freedom)

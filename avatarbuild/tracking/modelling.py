@@ -12,7 +12,8 @@ the Laplacian,
   K = (kappa^2 M - L) M^-1 (kappa^2 M - L) / (4 pi kappa^2),   kappa = sqrt(2) / l,
 
 which is closeness (9) and smoothness (10) with g4 : g5 : g6 = kappa^4 : 2 kappa^2 : 1. Matrix-free conjugate gradients,
-preconditioned by one factor of K for all shapes. n free vertices, a shapes, F frames.
+preconditioned shape by shape: K and what the data say of that shape alone, lumped at the vertices. n free vertices, a
+shapes, F frames.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ import scipy.sparse as sp
 
 from avatarbuild.energies import texture_flow
 from avatarbuild.geometry import meshes
+from avatarbuild.parallel import each_alone
 from avatarbuild.solvers.sparse import Factor, conjugate_gradients
 from avatarbuild.template import Template
 from avatarbuild.tracking import fit
@@ -32,6 +34,8 @@ from avatarbuild.tracking.fit import Face, Pinned, State, Weights
 from avatarbuild.tracking.frames import Frame
 from avatarbuild.tracking.rig import Places, Rig
 from avatarbuild.tracking.samples import face_skin
+
+_SAYS = 2e-3  # of the data's Hessian, a vertex' mean: below, K alone serves as well
 
 
 @dataclass(frozen=True)
@@ -50,8 +54,8 @@ class Freedom:
     neutral: float = 0.2
     length: float = 40.0
     worth: float = 0.3
-    steps: int = 40
-    tolerance: float = 1e-2
+    steps: int = 30
+    tolerance: float = 1e-4
 
 
 class Space:
@@ -74,10 +78,32 @@ class Space:
         size = np.linalg.norm(rig.deltas[:, :count], axis=2)
         spread = np.maximum(heat.solve((size * np.maximum(mass, 1e-6)).T), 0).T[:, self.free]
         least = freedom.least * np.minimum(spread / 0.5, 1)
-        along = np.outer(axis, axis)
-        self.turn = np.eye(3) - (1 - freedom.depth) * along
-        self.back = np.eye(3) - (1 - 1 / freedom.depth) * along
+        self.axes = np.linalg.svd(np.outer(axis, axis))[0][:, [1, 2, 0]]  # two across the line of sight, and it
+        self.depth = freedom.depth
+        self.turn = np.eye(3) - (1 - freedom.depth) * np.outer(axis, axis)
+        self.back = np.eye(3) - (1 - 1 / freedom.depth) * np.outer(axis, axis)
         self.stray = np.concatenate([np.full((1, len(self.free)), freedom.neutral), freedom.share * spread + least])
+        self._alone: list[tuple[Factor, Factor]] = []
+
+    def alone(self, weights: np.ndarray, diagonal: np.ndarray) -> list[tuple[Factor, Factor]]:
+        """
+        For each shape alone the factors of K + s_j^2 sum_f w_fj^2 h_f, across and along the line of sight: weights (F,
+        1 + a); diagonal h (F, n, 3) of the data's Hessian, by vertex and axis of the head. Made once: they only speed
+        conjugate gradients up, and later rounds differ little.
+        """
+        if not self._alone:
+            share = self.axes[:, 2] ** 2
+            across, along = diagonal @ (1 - share) / 2, self.depth**2 * (diagonal @ share)
+
+            def factor(says: np.ndarray) -> Factor:
+                return Factor(self.prior + sp.diags(says)) if says.mean() > _SAYS else self.factor
+
+            squares = weights.T**2
+            self._alone = [
+                (factor(s**2 * (w @ across)), factor(s**2 * (w @ along)))
+                for s, w in zip(self.stray, squares, strict=True)
+            ]
+        return self._alone
 
 
 def data_rows(
@@ -183,10 +209,13 @@ def learn(
         G.append(rows)
         target[i] = rows.T @ (rows @ here[i] - r)
 
-    def pulled(moved: np.ndarray) -> np.ndarray:
-        return np.stack([g.T @ (g @ d) for g, d in zip(G, moved, strict=True)])
+    transposed = [sp.csr_matrix(g.T) for g in G]
 
-    return nearest(space, base, weights, pulled, target, y0, freedom)
+    def pulled(moved: np.ndarray) -> np.ndarray:
+        return np.stack(list(each_alone(lambda i: transposed[i] @ (G[i] @ moved[i]), range(len(G)))))
+
+    diagonal = np.stack([np.asarray(g.multiply(g).sum(axis=0)).reshape(n, 3) for g in G])
+    return nearest(space, base, weights, pulled, diagonal, target, y0, freedom)
 
 
 def with_rest(states: list[State]) -> np.ndarray:
@@ -199,6 +228,7 @@ def nearest(
     base: Rig,
     weights: np.ndarray,
     pulled: Callable[[np.ndarray], np.ndarray],
+    diagonal: np.ndarray,
     target: np.ndarray,
     y0: np.ndarray,
     freedom: Freedom,
@@ -206,7 +236,7 @@ def nearest(
     """
     The rig near `base` that solves  sum_f W_f^T H_f W_f y + K y = sum_f W_f^T b_f  for the strayings y (1 + a, n, 3),
     from y0: weights (F, 1 + a); pulled, H_f d_f of what all frames' free vertices moved by, (F, 3 n) to (F, 3 n);
-    target b (F, 3 n).
+    diagonal (F, n, 3) of H; target b (F, 3 n).
     """
     n, a = len(space.free), len(base.deltas)
 
@@ -222,11 +252,20 @@ def nearest(
     def back(y: np.ndarray) -> np.ndarray:
         return y.reshape(n, 1 + a, 3).transpose(1, 0, 2)
 
+    factors = space.alone(weights, diagonal)
+
+    def alone(j: int, r: np.ndarray) -> np.ndarray:
+        across, along = factors[j]
+        split = r[j] @ space.axes
+        if across is along:
+            return np.asarray(across.solve(split) @ space.axes.T)
+        return np.concatenate([across.solve(split[:, :2]), along.solve(split[:, 2:])], axis=1) @ space.axes.T
+
     y = conjugate_gradients(
         lambda y: spread(pulled(weights @ strayed(y).reshape(1 + a, -1))) + back(space.prior @ columns(y)),
         spread(target),
         y0,
-        lambda y: back(space.factor.solve(columns(y))),
+        lambda r: np.stack(list(each_alone(lambda j: alone(j, r), range(1 + a)))),
         freedom.steps,
         freedom.tolerance,
     )
