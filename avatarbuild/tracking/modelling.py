@@ -35,7 +35,7 @@ from avatarbuild.tracking.frames import Frame
 from avatarbuild.tracking.rig import Places, Rig
 from avatarbuild.tracking.samples import face_skin
 
-_SAYS = 2e-3  # of the data's Hessian, a vertex' mean: below, K alone serves as well
+_MUCH = 16.0  # kappa^2, a vertex' mean of the data's Hessian: below, K alone serves nearly as well
 
 
 @dataclass(frozen=True)
@@ -83,27 +83,27 @@ class Space:
         self.turn = np.eye(3) - (1 - freedom.depth) * np.outer(axis, axis)
         self.back = np.eye(3) - (1 - 1 / freedom.depth) * np.outer(axis, axis)
         self.stray = np.concatenate([np.full((1, len(self.free)), freedom.neutral), freedom.share * spread + least])
-        self._alone: list[tuple[Factor, Factor]] = []
+        self.much = _MUCH * kappa2
+        self._alone: dict[int, tuple[Factor | None, Factor | None]] | None = None
 
-    def alone(self, weights: np.ndarray, diagonal: np.ndarray) -> list[tuple[Factor, Factor]]:
+    def alone(self, weights: np.ndarray, diagonal: np.ndarray) -> dict[int, tuple[Factor | None, Factor | None]]:
         """
-        For each shape alone the factors of K + s_j^2 sum_f w_fj^2 h_f, across and along the line of sight: weights (F,
-        1 + a); diagonal h (F, n, 3) of the data's Hessian, by vertex and axis of the head. Made once: they only speed
-        conjugate gradients up, and later rounds differ little.
+        By shape the factors of K + s_j^2 sum_f w_fj^2 h_f, across and along the line of sight, where the data say much
+        beside K: weights (F, 1 + a); diagonal h (F, n, 3) of the data's Hessian, by vertex and axis of the head. Made
+        once: they only speed conjugate gradients up, and later rounds differ little.
         """
-        if not self._alone:
+        if self._alone is None:
             share = self.axes[:, 2] ** 2
             across, along = diagonal @ (1 - share) / 2, self.depth**2 * (diagonal @ share)
-
-            def factor(says: np.ndarray) -> Factor:
-                return Factor(self.prior + sp.diags(says)) if says.mean() > _SAYS else self.factor
-
-            squares = weights.T**2
-            self._alone = [
-                (factor(s**2 * (w @ across)), factor(s**2 * (w @ along)))
-                for s, w in zip(self.stray, squares, strict=True)
-            ]
+            self._alone = {}
+            for j, (s, w) in enumerate(zip(self.stray**2, weights.T**2, strict=True)):
+                says = (s * (w @ across), s * (w @ along))
+                if max(part.mean() for part in says) > self.much:
+                    self._alone[j] = (self._factor(says[0]), self._factor(says[1]))
         return self._alone
+
+    def _factor(self, says: np.ndarray) -> Factor | None:
+        return Factor(self.prior + sp.diags(says)) if says.mean() > self.much else None
 
 
 def data_rows(
@@ -252,20 +252,22 @@ def nearest(
     def back(y: np.ndarray) -> np.ndarray:
         return y.reshape(n, 1 + a, 3).transpose(1, 0, 2)
 
-    factors = space.alone(weights, diagonal)
+    alone = space.alone(weights, diagonal)
 
-    def alone(j: int, r: np.ndarray) -> np.ndarray:
-        across, along = factors[j]
-        split = r[j] @ space.axes
-        if across is along:
-            return np.asarray(across.solve(split) @ space.axes.T)
-        return np.concatenate([across.solve(split[:, :2]), along.solve(split[:, 2:])], axis=1) @ space.axes.T
+    def eased(r: np.ndarray) -> np.ndarray:
+        split = r @ space.axes
+        z = back(space.factor.solve(columns(split)))
+        for j, own in alone.items():
+            for factor, axes in zip(own, (slice(0, 2), slice(2, 3)), strict=True):
+                if factor is not None:
+                    z[j, :, axes] = factor.solve(split[j, :, axes])
+        return np.asarray(z @ space.axes.T)
 
     y = conjugate_gradients(
         lambda y: spread(pulled(weights @ strayed(y).reshape(1 + a, -1))) + back(space.prior @ columns(y)),
         spread(target),
         y0,
-        lambda r: np.stack(list(each_alone(lambda j: alone(j, r), range(1 + a)))),
+        eased,
         freedom.steps,
         freedom.tolerance,
     )
