@@ -355,7 +355,7 @@ def test_shapes_that_act_together_are_learnt_to_the_end() -> None:
         pinned.append([Pinned(m, base.rider(places), pictures, np.full(len(inside), 6.0), 50.0)])
         states.append(s)
     posed = []
-    for steps, tolerance in ((modelling.Freedom.steps, modelling.Freedom.tolerance), (150, 1e-9)):
+    for steps, tolerance in ((modelling.Freedom.steps, modelling.Freedom.tolerance), (80, 1e-9)):
         freedom = modelling.Freedom(steps=steps, tolerance=tolerance)
         space = modelling.Space(t, base, np.array([0.0, 0.0, 1.0]), freedom)
         learnt = modelling.learn(space, f, base, [frame] * 6, pinned, states, (), Weights(), freedom)
