@@ -78,32 +78,31 @@ class Space:
         size = np.linalg.norm(rig.deltas[:, :count], axis=2)
         spread = np.maximum(heat.solve((size * np.maximum(mass, 1e-6)).T), 0).T[:, self.free]
         least = freedom.least * np.minimum(spread / 0.5, 1)
-        self.axes = np.linalg.svd(np.outer(axis, axis))[0][:, [1, 2, 0]]  # two across the line of sight, and it
+        along = np.outer(axis, axis)
+        self.axes = np.linalg.svd(along)[0][:, [1, 2, 0]]  # two across the line of sight, and it
         self.depth = freedom.depth
-        self.turn = np.eye(3) - (1 - freedom.depth) * np.outer(axis, axis)
-        self.back = np.eye(3) - (1 - 1 / freedom.depth) * np.outer(axis, axis)
+        self.turn = np.eye(3) - (1 - freedom.depth) * along
+        self.back = np.eye(3) - (1 - 1 / freedom.depth) * along
         self.stray = np.concatenate([np.full((1, len(self.free)), freedom.neutral), freedom.share * spread + least])
         self.much = _MUCH * kappa2
-        self._alone: dict[int, tuple[Factor | None, Factor | None]] | None = None
+        self._alone: list[tuple[int, slice, Factor]] | None = None
 
-    def alone(self, weights: np.ndarray, diagonal: np.ndarray) -> dict[int, tuple[Factor | None, Factor | None]]:
+    def alone(self, weights: np.ndarray, diagonal: np.ndarray) -> list[tuple[int, slice, Factor]]:
         """
-        By shape the factors of K + s_j^2 sum_f w_fj^2 h_f, across and along the line of sight, where the data say much
-        beside K: weights (F, 1 + a); diagonal h (F, n, 3) of the data's Hessian, by vertex and axis of the head. Made
-        once: they only speed conjugate gradients up, and later rounds differ little.
+        Shape j, its `axes` across or along the line of sight, and the factor of K + s_j^2 sum_f w_fj^2 h_f there, where
+        the data say much beside K: weights (F, 1 + a); diagonal h (F, n, 3) of the data's Hessian, by vertex and axis
+        of the head. Made once: they only speed conjugate gradients up, and later rounds differ little.
         """
         if self._alone is None:
             share = self.axes[:, 2] ** 2
             across, along = diagonal @ (1 - share) / 2, self.depth**2 * (diagonal @ share)
-            self._alone = {}
+            self._alone = []
             for j, (s, w) in enumerate(zip(self.stray**2, weights.T**2, strict=True)):
-                says = (s * (w @ across), s * (w @ along))
-                if max(part.mean() for part in says) > self.much:
-                    self._alone[j] = (self._factor(says[0]), self._factor(says[1]))
+                for axes, h in ((slice(0, 2), across), (slice(2, 3), along)):
+                    says = s * (w @ h)
+                    if says.mean() > self.much:
+                        self._alone.append((j, axes, Factor(self.prior + sp.diags(says))))
         return self._alone
-
-    def _factor(self, says: np.ndarray) -> Factor | None:
-        return Factor(self.prior + sp.diags(says)) if says.mean() > self.much else None
 
 
 def data_rows(
@@ -209,10 +208,8 @@ def learn(
         G.append(rows)
         target[i] = rows.T @ (rows @ here[i] - r)
 
-    transposed = [sp.csr_matrix(g.T) for g in G]
-
     def pulled(moved: np.ndarray) -> np.ndarray:
-        return np.stack(list(each_alone(lambda i: transposed[i] @ (G[i] @ moved[i]), range(len(G)))))
+        return np.stack(list(each_alone(lambda i: G[i].T @ (G[i] @ moved[i]), range(len(G)))))
 
     diagonal = np.stack([np.asarray(g.multiply(g).sum(axis=0)).reshape(n, 3) for g in G])
     return nearest(space, base, weights, pulled, diagonal, target, y0, freedom)
@@ -257,10 +254,8 @@ def nearest(
     def eased(r: np.ndarray) -> np.ndarray:
         split = r @ space.axes
         z = back(space.factor.solve(columns(split)))
-        for j, own in alone.items():
-            for factor, axes in zip(own, (slice(0, 2), slice(2, 3)), strict=True):
-                if factor is not None:
-                    z[j, :, axes] = factor.solve(split[j, :, axes])
+        for j, axes, factor in alone:
+            z[j, :, axes] = factor.solve(split[j, :, axes])
         return np.asarray(z @ space.axes.T)
 
     y = conjugate_gradients(
