@@ -5,7 +5,8 @@ python benchmarks/tracking.py PROJECT --truth TRUTH --scorer score.py
 AVATARBUILD_BENCHMARK=FOLDER stands for --truth FOLDER/truth_b --scorer FOLDER/score.py. Stage tracking must have run;
 with `--set tracking.leave_out=3` the frames that taught nothing are shown apart. Rows: surface after a rigid motion a
 frame, corresponding points after one (and its parts across and along the line of sight), five skin points' drift in
-pixels; for the person's own shapes, the transferred ones at the same weights, and no expression at all.
+pixels; for the person's own shapes, the transferred ones at the same weights, the refined ones where stage refinement
+has run, and no expression at all.
 
 Trials (tracking_trials.py), each of which runs the stage several times and writes nothing into the project:
 python benchmarks/tracking.py PROJECT --truth TRUTH --scorer score.py --trial faults --capture CAPTURE [--seconds 34]
@@ -23,7 +24,7 @@ import numpy as np
 import tracking_trials
 from scoring import arguments, load_scorer, scored
 
-from avatarbuild.artefacts import Blendshapes, Capture, Performance
+from avatarbuild.artefacts import Blendshapes, Capture, Performance, Refinement
 from avatarbuild.geometry.raster import project
 from avatarbuild.template import ARKIT_NAMES, Template
 from avatarbuild.tracking.lens import Lens
@@ -62,6 +63,7 @@ def main() -> None:
     rigs = {
         "own shapes": (made.neutral, made.deltas.astype(float)),
         "transferred": (transferred.neutral, transferred.deltas.astype(float)),
+        **refined(a.project / "08-refinement"),
         "no expression": (made.neutral, np.zeros_like(made.deltas, float)),
     }
     print(f"{'':26s} surface   90 %  corresponding (across, along)  drift 50 %, 95 %  landmarks, px")
@@ -82,6 +84,14 @@ def main() -> None:
                 flush=True,
             )
     weights(truth, made)
+
+
+def refined(folder: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Neutral and shapes as stage refinement leaves them, where it has run."""
+    if not (folder / "stamp.json").is_file():
+        return {}
+    made = Refinement.load(folder)
+    return {"refined": (made.neutral, made.deltas.astype(float))}
 
 
 def weights(truth: Any, made: Performance) -> None:

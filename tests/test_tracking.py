@@ -195,6 +195,28 @@ def test_markers_alone_recover_pose_and_weights() -> None:
     assert found.weights.max() <= 1
 
 
+def test_a_finer_picture_says_no_more_of_the_weights() -> None:
+    """Four times as many points on the same skin, as from twice the resolution: the same weights."""
+    f = face()
+    truth = state(expression_weights(jawOpen=0.4, mouthSmileLeft=0.6)[:A])
+    here = replace(frame_of(f, truth), scores=np.full(A, 0.1))
+    w = Weights(score=50.0)
+    (points,) = fit.detected(f, here, w)
+    again = np.tile(np.arange(SKIN), 4)
+    m = points.markers
+    finer = Markers(
+        Places(m.places.triangle[again], m.places.barycentric[again]),
+        m.offset[again],
+        m.weight[again],
+        m.sliding[again],
+    )
+    four = Pinned(finer, f.rig.rider(finer.places), points.pictures[again], points.worth[again], points.reach)
+    start = replace(truth, weights=np.zeros(A))
+    a = fit.fit_points(f, here, [points], start, w.beside(w.density), rigid=0, steps=6)
+    b = fit.fit_points(f, here, [four], start, w.beside(4 * w.density), rigid=0, steps=6)
+    np.testing.assert_allclose(a.weights, b.weights, atol=2e-3)
+
+
 def test_limits_hold() -> None:
     f = face()
     truth = state(expression_weights(jawOpen=0.2, mouthClose=0.2)[:A])
@@ -224,6 +246,8 @@ def test_dense_flow_finds_a_moved_head() -> None:
     off = place + np.array([3.0, -2.0, 0.0])
     found = dense.targets(here, t.mean, skin, region, texture, LENS, R, off, level=0)
     assert found.share > 0.6
+    depth = np.median(camera[skin[region], 2])
+    assert found.density == pytest.approx((LENS.focal / depth / 5) ** 2, rel=0.02)
     true = LENS.project(found.places.on(t.mean, skin) @ R.T + place)[0]
     error = np.linalg.norm(found.pictures - true, axis=1)
     assert np.median(error) < 0.3
@@ -238,7 +262,9 @@ def test_where_something_hides_the_face_the_detector_counts_less() -> None:
     good = tried.copy()
     good[:, :50] = False
     cover = dense._about(good, tried)
-    targets = dense.Targets(Places(np.zeros(0, int), np.zeros((0, 3))), np.zeros((0, 2)), 0.5, cover, np.zeros(2), 2.0)
+    targets = dense.Targets(
+        Places(np.zeros(0, int), np.zeros((0, 3))), np.zeros((0, 2)), 0.5, cover, np.zeros(2), 2.0, 0.03
+    )
     shares = targets.covered(2 * np.array([[30.0, 60.0], [70.0, 60.0], [5.0, 5.0], [500.0, 60.0]]))
     np.testing.assert_allclose(shares, [0, 1, 1, 1], atol=0.02)
     f = face()

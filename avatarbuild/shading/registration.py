@@ -5,7 +5,7 @@ All blendshapes refined jointly against the depth maps of all frames (equation 1
 
 p_fv - x_fv is the displacement d of shape from shading along the ray at the vertex's pixel, c its certainty. The
 displacement is from the smooth mesh to the depth map, so that the smoothing itself moves nothing. Closeness is to the
-shapes that enter; prior and unknowns are those of modelling (`tracking.modelling`).
+shapes that enter the stage; prior and unknowns are those of modelling (`tracking.modelling`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.modelling import Freedom, Space, nearest, with_rest
 from avatarbuild.tracking.rig import Rig
 
-FREEDOM = Freedom(share=0.03, least=0.015, length=20.0, depth=10.0, neutral=0.01, worth=0.2)
+FREEDOM = Freedom(share=0.03, least=0.015, length=20.0, depth=10.0, neutral=0.003, worth=0.2)
 """Ten times freer along the line of sight than across it: there lies what shading knows and points do not. Across it
 points know more, and the skin would slide."""
 _RIM = 7  # pixels of the face's border whose depth is not used
@@ -57,14 +57,24 @@ def planes(template: Template, rig: Rig, state: State, lens: Lens, drawn: Drawn,
 
 
 def refine(
-    template: Template, rig: Rig, states: list[State], asked: list[Planes], axis: np.ndarray, freedom: Freedom = FREEDOM
+    template: Template,
+    base: Rig,
+    drawn: Rig,
+    states: list[State],
+    asked: list[Planes],
+    axis: np.ndarray,
+    freedom: Freedom = FREEDOM,
 ) -> Rig:
-    """The rig nearest to `rig` that meets the planes of all frames; axis (3,) the mean line of sight, head frame."""
-    space = Space(template, rig, axis, freedom)
+    """
+    The rig nearest to `base` that meets the planes of all frames, which tell how far off `drawn` is; axis (3,) the mean
+    line of sight, head frame.
+    """
+    space = Space(template, base, axis, freedom)
     free, count = space.free, len(states)
     normal = np.stack([p.normal[free] for p in asked])
     worth = freedom.worth * np.stack([p.sure[free] for p in asked])
-    offset = np.stack([p.offset[free] for p in asked])
+    moved = np.stack([(drawn.posed(s.weights) - base.posed(s.weights))[free] for s in states])
+    offset = np.stack([p.offset[free] for p in asked]) + (normal * moved).sum(axis=-1)
 
     def along(distance: np.ndarray) -> np.ndarray:
         """(f, 3 n) of distances (f, n) along the normals."""
@@ -73,6 +83,6 @@ def refine(
     def pulled(moved: np.ndarray) -> np.ndarray:
         return along((moved.reshape(normal.shape) * normal).sum(axis=-1) * worth)
 
-    still = np.zeros((1 + len(rig.deltas), len(free), 3))
+    still = np.zeros((1 + len(base.deltas), len(free), 3))
     diagonal = worth[..., None] * normal**2
-    return nearest(space, rig, with_rest(states), pulled, diagonal, along(worth * offset), still, freedom)
+    return nearest(space, base, with_rest(states), pulled, diagonal, along(worth * offset), still, freedom)

@@ -21,6 +21,7 @@ from avatarbuild.shading.relief import MEDIUM, light_seen, relief
 from avatarbuild.shading.surface import FineSkin, factor_for, fine_skin
 from avatarbuild.template import Template
 from avatarbuild.texture import occlusion
+from avatarbuild.tracking.alternation import as_shown
 from avatarbuild.tracking.fit import State
 from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.rig import Rig
@@ -29,6 +30,7 @@ log = logging.getLogger(__name__)
 
 GOOD = 0.35  # quality from which a frame counts
 LEAST_FRAMES = 5
+ROUNDS = 2  # of depth maps and shapes in turn: better shapes are better lit, drawn and aligned
 
 
 def run(
@@ -48,29 +50,37 @@ def run(
             warnings.append(f"{len(rows)} good frames: {LEAST_FRAMES} are needed to refine the shapes by shading")
         return untouched(performance, warnings)
     shapes = len(performance.deltas) - 1
-    rig = Rig(performance.neutral, performance.deltas[:shapes].astype(np.float64), template.triangles)
     lens = Lens(performance.focal, performance.k1, performance.size)
     states = [state_of(performance, int(performance.processed[row]), shapes) for row in rows]
-    skin = fine_skin_of(albedo, performance, template)
-    watched = watched_clip(capture, performance, rows, template, skin, options.pixel, progress, "The light on the face")
-
-    def asked(k: int) -> registration.Planes:
-        one = watched.frames[k]
-        seen = light_seen(one.drawn, one.grey, float(watched.light.gains[k]), watched.more(one.drawn))
-        found = relief(one.drawn, seen, watched.light, lens, MEDIUM)
-        return registration.planes(template, rig, states[k], lens, one.drawn, found)
-
-    planes = []
-    with progress.task("Depth maps", len(rows)) as task:
-        for one in each_alone(asked, range(len(rows))):
-            planes.append(one)
-            task.advance()
     sight = -np.mean([s.R.T @ s.t / np.linalg.norm(s.t) for s in states], axis=0)
-    with progress.task("Refining all shapes", 1) as task:
-        freedom = replace(registration.FREEDOM, worth=options.worth)
-        refined = registration.refine(template, rig, states, planes, sight / np.linalg.norm(sight), freedom)
-        made, contacts = kept(template, blendshapes, refined)
-        task.advance()
+    axis, freedom = sight / np.linalg.norm(sight), replace(registration.FREEDOM, worth=options.worth)
+    skin = fine_skin_of(albedo, performance, template)
+    now = performance
+    tracked = rig = Rig(performance.neutral, performance.deltas[:shapes].astype(np.float64), template.triangles)
+    for number in range(ROUNDS):
+        turn = f", {number + 1} of {ROUNDS}"
+        watched = watched_clip(
+            capture, now, rows, template, skin, options.pixel, progress, f"The light on the face{turn}"
+        )
+
+        def asked(k: int, rig: Rig = rig, watched: Watched = watched) -> registration.Planes:
+            one = watched.frames[k]
+            seen = light_seen(one.drawn, one.grey, float(watched.light.gains[k]), watched.more(one.drawn))
+            found = relief(one.drawn, seen, watched.light, lens, MEDIUM)
+            return registration.planes(template, rig, states[k], lens, one.drawn, found)
+
+        planes = []
+        with progress.task(f"Depth maps{turn}", len(rows)) as task:
+            for one in each_alone(asked, range(len(rows))):
+                planes.append(one)
+                task.advance()
+        with progress.task(f"Refining all shapes{turn}", 1) as task:
+            refined = registration.refine(template, tracked, rig, states, planes, axis, freedom)
+            shown = as_shown(refined, tracked, performance.evidence[:shapes])
+            made, contacts = kept(template, blendshapes, shown)
+            task.advance()
+        rig = Rig(made.neutral, made.deltas[:shapes], template.triangles)
+        now = replace(performance, neutral=made.neutral, deltas=made.deltas)
     moved = np.linalg.norm(made.deltas - performance.deltas, axis=2).max(axis=1)
     figures = {
         "frames": len(rows),

@@ -121,6 +121,7 @@ def seek(
     seen = face.lens.project((face.marker_rider.at(state.weights) + face.markers.offset) @ state.R.T + state.t)[0]
     marks = fit.detected(face, frame, w, np.clip(found.covered(seen) / _HIDDEN, _LEAST_TRUST, 1))
     pinned = marks + fit.found(face, found, w)
+    w = w.beside(found.density)
     state = fit.fit_points(face, frame, pinned, state, w, rigid=0, steps=4)
     if levels:
         state = fit.fit(face, frame, pinned, state, w, levels, _STEPS)

@@ -36,7 +36,7 @@ class Targets:
     """
     places of p points of the skin, their pictures (p, 2) pixels in a frame, and their share of those looked for; cover
     (h, w) in 0..1: that share about each pixel of the crop, whose corner (2,) lies in the frame and whose pixels are
-    `scale` wide.
+    `scale` wide; density: how many were looked for on a square millimetre of skin.
     """
 
     places: Places
@@ -45,6 +45,7 @@ class Targets:
     cover: np.ndarray
     corner: np.ndarray
     scale: float
+    density: float
 
     def covered(self, pixels: np.ndarray) -> np.ndarray:
         """(q,) the share about points (q, 2) of the frame; 1 beyond the face."""
@@ -79,10 +80,17 @@ def targets(
     middle = camera[triangles].mean(axis=1)
     facing = -np.einsum("ij,ij->i", face_normals(camera, triangles), middle) / np.linalg.norm(middle, axis=1)
     on = np.append(region & (facing > _FACING), False)[raster.triangle]
+    density = float(lens.focal / max(np.median(middle[region, 2]), 1.0) / (scale * _CELL)) ** 2
     if on.sum() < 400:
         nothing = np.ones((h, w), np.float32)
         return Targets(
-            Places(np.zeros(0, np.int64), np.zeros((0, 3))), np.zeros((0, 2)), 0.0, nothing, frame.corner, scale
+            Places(np.zeros(0, np.int64), np.zeros((0, 3))),
+            np.zeros((0, 2)),
+            0.0,
+            nothing,
+            frame.corner,
+            scale,
+            density,
         )
     there, apart = flow_there_and_back(levelled(drawn, on), levelled(seen, on))
     inner = cv2.erode(on.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
@@ -94,7 +102,7 @@ def targets(
     at = np.stack([column, row], axis=1) + there[row, column].astype(np.float64) + 0.5
     places = Places(raster.triangle[row, column].astype(np.int64), raster.barycentric[row, column].astype(np.float64))
     share = len(row) / max(int((inner & cells).sum()), 1)
-    return Targets(places, at * scale + frame.corner, share, _about(good, inner), frame.corner, scale)
+    return Targets(places, at * scale + frame.corner, share, _about(good, inner), frame.corner, scale, density)
 
 
 def _about(good: np.ndarray, tried: np.ndarray) -> np.ndarray:
