@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 from itertools import product
 
+import cv2
 import numpy as np
 import pytest
 import synthetic
@@ -18,7 +19,7 @@ from avatarbuild.geometry.rotations import rotation
 from avatarbuild.solvers.boxed import boxed, reduced
 from avatarbuild.stages import tracking
 from avatarbuild.template import ARKIT_NAMES, Template, expression_weights
-from avatarbuild.tracking import dense, fit, full_rate, gaze, modelling
+from avatarbuild.tracking import dense, fit, full_rate, gaze, lids, modelling
 from avatarbuild.tracking import markers as marking
 from avatarbuild.tracking.alternation import Tracked, as_shown, evidence
 from avatarbuild.tracking.fit import Face, Pinned, State, Weights
@@ -274,6 +275,43 @@ def test_where_something_hides_the_face_the_detector_counts_less() -> None:
 
 
 # the eyes
+
+
+def eye_picture(open_: float, skin: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Two eyes on plain skin, each `open_` of a lens 80 by 30 pixels, and the detector's points at their corners."""
+    picture = np.full((200, 400, 3), skin, np.uint8)
+    marks = np.zeros((478, 2))
+    for middle, (inner, outer) in ((120, (133, 33)), (280, (362, 263))):
+        side = 1 if middle > 200 else -1
+        marks[inner], marks[outer] = (middle - 40 * side, 100), (middle + 40 * side, 100)
+        lens = np.zeros(picture.shape[:2], np.uint8)
+        cv2.ellipse(lens, (middle, 100), (40, round(15 * open_)), 0, 0, 360, 1, -1)
+        iris = np.zeros_like(lens)
+        cv2.circle(iris, (middle, 100), 15, 1, -1)
+        if open_ > 0:
+            picture[lens > 0] = (225, 220, 215)
+            picture[(lens & iris) > 0] = (70, 80, 60)
+    return picture, marks
+
+
+@pytest.mark.parametrize("skin", [(225, 175, 150), (190, 130, 100), (90, 55, 40)])
+def test_lids_are_shut_as_far_as_the_eye_is_hidden(skin: tuple[int, int, int]) -> None:
+    shown = [lids.eye_shown(*eye_picture(open_, skin)) for open_ in (1.0, 0.5, 0.0)]
+    opened = lids.usually_open(np.array([shown[0]] * 5 + [shown[2]]))
+    wide, half, none = (lids.shut(shown[i], opened) for i in range(3))
+    np.testing.assert_allclose(wide, 0, atol=1e-9)
+    assert ((half > 0.15) & (half < 0.5)).all()
+    np.testing.assert_allclose(none, 1, atol=1e-9)
+    looking_down = lids.shut(shown[1], opened, np.full(2, 0.8))
+    assert (looking_down < half).all()
+
+
+def test_eyes_that_cannot_be_judged_are_left_to_the_detector() -> None:
+    picture, marks = eye_picture(0.0, (225, 175, 150))
+    nothing = lids.eye_shown(picture, marks)
+    assert np.isnan(lids.shut(nothing, lids.usually_open(np.array([nothing] * 4)))).all()
+    small = lids.eye_shown(cv2.resize(picture, None, fx=0.1, fy=0.1), marks / 10)
+    assert np.isnan(small).all()
 
 
 def test_gaze_of_irises_on_the_eyeballs() -> None:

@@ -20,7 +20,7 @@ from avatarbuild.geometry.mipmap import Mipmap
 from avatarbuild.landmarks import canonical_face
 from avatarbuild.parallel import each_alone
 from avatarbuild.template import ARKIT_NAMES, Template
-from avatarbuild.tracking import dense, fit, gaze, lens_fit
+from avatarbuild.tracking import dense, fit, gaze, lens_fit, lids
 from avatarbuild.tracking.fit import Face, Pinned, State, Weights
 from avatarbuild.tracking.frames import Frame
 from avatarbuild.tracking.lens import Lens
@@ -31,7 +31,8 @@ log = logging.getLogger(__name__)
 
 ROUND_LEVELS = ((), (1,), (1, 0))  # of the pyramid for equation (6), round by round; the last goes on
 _STEPS = 3
-_BLINKS = tuple(ARKIT_NAMES.index(name) for name in ("eyeBlinkLeft", "eyeBlinkRight"))
+BLINKS = [ARKIT_NAMES.index(name) for name in ("eyeBlinkLeft", "eyeBlinkRight")]
+_DOWNS = [ARKIT_NAMES.index(name) for name in ("eyeLookDownLeft", "eyeLookDownRight")]
 _SURE = 0.6  # quality from which a frame may tell about the lens
 _LENS_FRAMES = 6
 _ALIKE = 0.02  # of a point's square: neighbouring points err alike, fifty of them count as one
@@ -52,12 +53,13 @@ class Skin:
 class Eyes:
     """
     centres (2, 3) and radius (2,) mm of the eyeballs; rest (2, 2) radians, yaw and pitch of each eye's usual gaze, from
-    which the eyeLook shapes count.
+    which the eyeLook shapes count; opened (2,) how much of them shows when they are open, NaN unknown.
     """
 
     centres: np.ndarray
     radius: np.ndarray
     rest: np.ndarray
+    opened: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -92,12 +94,23 @@ def aim(face: Face, frame: Frame, eyes: Eyes, w: Weights) -> Tracked:
 
 
 def settle(face: Face, aimed: Tracked, template: Template, eyes: Eyes, w: Weights) -> Tracked:
-    """The frame with weights by the detector's points, the eyes' own held where they look from their rest."""
+    """
+    The frame with weights by the detector's points; the eyes' own held where they look from their rest, and blinks
+    where the picture shows how far the lids are shut, unless the user has set points.
+    """
     frame = aimed.frame
-    angles = gaze.yoked(aimed.gaze - eyes.rest, np.nan_to_num(frame.scores[list(_BLINKS)]))
-    looks = gaze.look_weights(template, angles)[: len(frame.low)]
+    told = frame.scores[BLINKS]
+    seen = lids.shut(frame.shown, eyes.opened)
+    angles = gaze.yoked(aimed.gaze - eyes.rest, np.nan_to_num(np.where(np.isfinite(seen), seen, told)))
+    held = gaze.look_weights(template, angles)[: len(frame.low)]
     fixed = gaze.turning(template, len(frame.low))
-    frame = replace(frame, low=np.where(fixed, looks, 0.0), high=np.where(fixed, looks, frame.high))
+    shut = lids.shut(frame.shown, eyes.opened, held[_DOWNS])
+    known = np.isfinite(shut) & (frame.clicks is None)
+    fixed[BLINKS] = known
+    held[BLINKS] = shut = np.where(known, shut, 0.0)
+    low, high = np.where(fixed, held, 0.0), np.where(fixed, held, frame.high)
+    frame = replace(frame, low=low, high=high, shut=shut)
+    aimed = replace(aimed, pinned=fit.detected(face, frame, w))
     start = replace(aimed.state, weights=frame.low)
     state = fit.fit_points(face, frame, aimed.pinned, start, w, rigid=0, steps=6)
     return replace(aimed, frame=frame, state=state, gaze=angles)
@@ -106,9 +119,10 @@ def settle(face: Face, aimed: Tracked, template: Template, eyes: Eyes, w: Weight
 def looking_ahead(aimed: list[Tracked], eyes: Eyes) -> Eyes:
     """
     The eyes with their rest: the median of the clip's gaze. The detector's irises lie off by degrees, in a way of each
-    face's own, and who is filmed mostly looks ahead.
+    face's own, and who is filmed mostly looks ahead, with open eyes.
     """
-    return replace(eyes, rest=np.nan_to_num(np.nanmedian([one.gaze for one in aimed], axis=0)))
+    rest = np.nan_to_num(np.nanmedian([one.gaze for one in aimed], axis=0))
+    return replace(eyes, rest=rest, opened=lids.usually_open(np.array([one.frame.shown for one in aimed])))
 
 
 def seek(
@@ -238,8 +252,10 @@ def as_shown(learnt: Rig, base: Rig, found: np.ndarray) -> Rig:
     """
     B*_j + s_j (B_j - B*_j) with s_j from 0 to 1 where the evidence `found` (a,) goes from _HARDLY to _WELL: what the
     video hardly shows stays as it was transferred, `base`. Below, learnt shapes were farther from the truth than these.
+    So do blinks: lids close on the eyeball as they were made to, and the detector does not see them close.
     """
     share = np.clip((found - _HARDLY) / (_WELL - _HARDLY), 0, 1)[:, None, None]
+    share[BLINKS] = 0
     return replace(learnt, deltas=base.deltas + share * (learnt.deltas - base.deltas))
 
 

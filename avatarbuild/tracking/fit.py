@@ -17,6 +17,7 @@ from avatarbuild.solvers.boxed import boxed, reduced
 from avatarbuild.tracking import dense
 from avatarbuild.tracking.frames import Frame
 from avatarbuild.tracking.lens import Lens
+from avatarbuild.tracking.lids import RIMS
 from avatarbuild.tracking.markers import SKIN, Markers
 from avatarbuild.tracking.markers import rows as marker_rows
 from avatarbuild.tracking.rig import Places, Rider, Rig
@@ -120,11 +121,16 @@ def wearing(face: Face, rig: Rig) -> Face:
 
 
 def detected(face: Face, frame: Frame, w: Weights, trust: np.ndarray | float = 1.0) -> list[Pinned]:
-    """The detector's points, if it found any, each with its `trust` (468,), then the user's, if there are some."""
+    """
+    The detector's points, if it found any, each with its `trust` (468,), the rims of lids that are shut left out, then
+    the user's, if there are some.
+    """
     if not np.isfinite(frame.presence):
         return []
     m, clicks = face.markers, frame.clicks
     worth = m.weight * trust * frame.presence / w.marker_sd**2
+    for rim, shut in zip(RIMS, frame.shut, strict=True):
+        worth[rim] *= 1 - shut
     points = [Pinned(m, face.marker_rider, frame.marks[:SKIN, :2], worth, w.marker_reach)]
     if clicks is not None:
         at = clicks.points

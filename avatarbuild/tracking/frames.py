@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 
+from avatarbuild.tracking.lids import eye_shown
 from avatarbuild.tracking.markers import SKIN, Clicks
 from avatarbuild.tracking.samples import log_grey
 
@@ -20,7 +21,8 @@ class Frame:
     """
     number among the decoded frames, time s; marks (478, 3) pixels of the detector and its presence, NaN where it found
     nothing; scores (a,) its opinion of the shapes' weights, NaN where it has none; low, high (a,) the weights' bounds;
-    corner (2,) pixels of the crop and its pyramid, finest first; clicks: points that the user has set.
+    corner (2,) pixels of the crop and its pyramid, finest first; clicks: points that the user has set;
+    shown (2,) how much of the left and the right eye shows (`lids.eye_shown`), and shut (2,) how far they are shut.
     """
 
     number: int
@@ -33,6 +35,8 @@ class Frame:
     corner: np.ndarray
     pyramid: list[np.ndarray]
     clicks: Clicks | None = None
+    shown: np.ndarray = field(default_factory=lambda: np.full(2, np.nan))
+    shut: np.ndarray = field(default_factory=lambda: np.zeros(2))
 
 
 @dataclass(frozen=True)
@@ -72,5 +76,6 @@ def frame(
         pyramid.append(cv2.GaussianBlur(grey, (0, 0), _BLUR))
     a = len(scores)
     return Frame(
-        number, time, marks, presence, scores, np.zeros(a), np.ones(a), low.astype(np.float64), pyramid, clicks
+        *(number, time, marks, presence, scores, np.zeros(a), np.ones(a), low.astype(np.float64), pyramid, clicks),
+        shown=eye_shown(rgb, marks),
     )

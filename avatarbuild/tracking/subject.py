@@ -66,7 +66,7 @@ def subject(
         (build_mipmap(grey[..., None]), template.uv, template.uv_triangles[part]),
     )
     face = face_of(rig, lens, points, levels, template.triangles[part], tuple(limits_of(template).items()))
-    return face, skin, Eyes(neutral.eye_centres, neutral.eye_radius, np.zeros((2, 2)))
+    return face, skin, Eyes(neutral.eye_centres, neutral.eye_radius, np.zeros((2, 2)), np.full(2, np.nan))
 
 
 def said(views: Views) -> np.ndarray:

@@ -9,6 +9,7 @@ from avatarbuild.artefacts import Blendshapes, Clip, Performance
 from avatarbuild.rigging import limits_of
 from avatarbuild.template import ARKIT_NAMES, Template
 from avatarbuild.tracking import gaze
+from avatarbuild.tracking.alternation import BLINKS
 from avatarbuild.tracking.full_rate import Found, smoothed
 from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.subject import SHAPES
@@ -33,7 +34,6 @@ def performance(
     f = len(clip.times)
     quality, angles = np.zeros(f), np.full((f, 2, 2), np.nan)
     weights, pose = np.zeros((f, len(ARKIT_NAMES))), np.zeros((f, 6))
-    blink = [ARKIT_NAMES.index(name) for name in ("eyeBlinkLeft", "eyeBlinkRight")]
     for one in whole:
         i = one.number
         quality[i], angles[i] = one.quality, one.gaze
@@ -47,7 +47,7 @@ def performance(
             pose[:, k] = np.interp(at, at[good], pose[good, k])
         last = np.maximum.accumulate(np.where(good, at, -1))
         weights = weights[np.where(last >= 0, last, int(np.argmax(good)))]
-    looking = gaze.held(angles, good[:, None] & (weights[:, blink] < 0.6))
+    looking = gaze.held(angles, good[:, None] & (weights[:, BLINKS] < 0.5))
     for row in np.flatnonzero(good):
         fixed = gaze.look_weights(template, looking[row])
         for name in template.eye_rotations:
