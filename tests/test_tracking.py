@@ -21,7 +21,7 @@ from avatarbuild.stages import tracking
 from avatarbuild.template import ARKIT_NAMES, Template, expression_weights
 from avatarbuild.tracking import dense, fit, full_rate, gaze, lids, modelling
 from avatarbuild.tracking import markers as marking
-from avatarbuild.tracking.alternation import Tracked, as_shown, evidence
+from avatarbuild.tracking.alternation import Eyes, Tracked, as_shown, evidence, looking_ahead, regard
 from avatarbuild.tracking.fit import Face, Pinned, State, Weights
 from avatarbuild.tracking.frames import Frame
 from avatarbuild.tracking.lens import Lens
@@ -331,6 +331,37 @@ def test_gaze_of_irises_on_the_eyeballs() -> None:
     assert named["eyeLookOutLeft"] == pytest.approx(0.3 / np.radians(t.eye_rotations["eyeLookOutLeft"].degrees))
 
 
+def looking(wanted: np.ndarray, lies: np.ndarray, rims: np.ndarray) -> Tracked:
+    """A frame whose irises look `wanted` (2, 2) at a pose that the detector alone tells by 0.1 rad too low."""
+    t, s = template(), state(np.zeros(A))
+    yaw, pitch = (wanted + np.where(rims[:, None], 0, lies)).T
+    ahead = np.stack([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)], axis=1)
+    irises = LENS.project((t.eye_centres + 10.4 * ahead) @ s.R.T + s.t)[0]
+    nodding = replace(s, R=rotation(np.array([0.1, 0.0, 0.0])) @ s.R)
+    return Tracked(frame_of(face(), nodding), nodding, [], 1.0, irises, rims, np.full((2, 2), np.nan))
+
+
+def test_gaze_is_that_of_the_final_pose_and_of_the_eye_whose_rim_is_seen() -> None:
+    f, t = face(), template()
+    both, left = np.ones(2, bool), np.array([True, False])
+    wrong = np.full((2, 2), 0.3)
+    clip = [looking(np.zeros((2, 2)), wrong, both)] * 4
+    clip += [looking(np.full((2, 2), 0.1), wrong, rims) for rims in (both, left, ~both)]
+    eyes = Eyes(t.eye_centres, np.full(2, 12.0), np.zeros((2, 2)), np.full(2, np.nan), np.zeros(2, bool))
+    placed = [replace(one, state=state(np.zeros(A))) for one in clip]
+    eyes = looking_ahead(f, placed, eyes)
+    assert eyes.by_rims.all()
+    rest, seen, one_eye, none = (regard(f, placed[i], t, eyes) for i in (0, 4, 5, 6))
+    np.testing.assert_allclose(rest.gaze, 0, atol=1e-3)
+    np.testing.assert_allclose(seen.gaze, 0.1, atol=1e-3)
+    np.testing.assert_allclose(one_eye.gaze, 0.1, atol=1e-3)
+    assert np.isnan(none.gaze).all()
+    up = t.expression_index["eyeLookUpLeft"]
+    assert one_eye.frame.low[up] == one_eye.frame.high[up] == one_eye.state.weights[up] > 0.1
+    early = regard(f, clip[4], t, replace(eyes, rest=np.zeros((2, 2))))
+    assert np.abs(early.gaze[:, 1] - 0.1).min() > 0.05
+
+
 def test_gaze_is_held_through_a_blink() -> None:
     angles = np.zeros((5, 2, 2))
     angles[:, :, 0] = np.array([0.0, 9.0, np.nan, 9.0, 0.4])[:, None]
@@ -440,7 +471,7 @@ def test_gauge_changes_no_pose() -> None:
 def test_evidence() -> None:
     f = face()
     half = state(expression_weights(jawOpen=0.5)[:A])
-    one = Tracked(frame_of(f, half), half, [], 1.0, np.zeros((2, 2)))
+    one = Tracked(frame_of(f, half), half, [], 1.0, np.zeros((2, 2)), np.ones(2, bool), np.zeros((2, 2)))
     found = evidence([one], np.ones(1, bool), rig())
     i = template().expression_index["jawOpen"]
     assert found[i] == pytest.approx(0.5, abs=0.02)

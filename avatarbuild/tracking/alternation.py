@@ -33,6 +33,7 @@ ROUND_LEVELS = ((), (1,), (1, 0))  # of the pyramid for equation (6), round by r
 _STEPS = 3
 BLINKS = [ARKIT_NAMES.index(name) for name in ("eyeBlinkLeft", "eyeBlinkRight")]
 _DOWNS = [ARKIT_NAMES.index(name) for name in ("eyeLookDownLeft", "eyeLookDownRight")]
+_MOSTLY = 0.5  # of the frames
 _SURE = 0.6  # quality from which a frame may tell about the lens
 _LENS_FRAMES = 6
 _ALIKE = 0.02  # of a point's square: neighbouring points err alike, fifty of them count as one
@@ -53,23 +54,30 @@ class Skin:
 class Eyes:
     """
     centres (2, 3) and radius (2,) mm of the eyeballs; rest (2, 2) radians, yaw and pitch of each eye's usual gaze, from
-    which the eyeLook shapes count; opened (2,) how much of them shows when they are open, NaN unknown.
+    which the eyeLook shapes count; opened (2,) how much of them shows when they are open, NaN unknown; by_rims (2,)
+    bool: the clip mostly shows the iris' rim, so that frames without it tell nothing of where that eye looks.
     """
 
     centres: np.ndarray
     radius: np.ndarray
     rest: np.ndarray
     opened: np.ndarray
+    by_rims: np.ndarray
 
 
 @dataclass(frozen=True)
 class Tracked:
-    """A frame as it was tracked: its state, its points, its quality in 0..1 and its gaze (2, 2), NaN unknown."""
+    """
+    A frame as it was tracked: its state, its points, its quality in 0..1; the middles of the irises (2, 2) pixels and
+    whether these are by their rims (2,); gaze (2, 2) radians, the eyes' turn from their rest, NaN unknown.
+    """
 
     frame: Frame
     state: State
     pinned: list[Pinned]
     quality: float
+    irises: np.ndarray
+    rims: np.ndarray
     gaze: np.ndarray
 
 
@@ -84,45 +92,58 @@ def first_state(frame: Frame, lens: Lens, a: int) -> State:
     return State(seen.rotation, t, np.clip(np.zeros(a), frame.low, frame.high))
 
 
-def aim(face: Face, frame: Frame, eyes: Eyes, w: Weights) -> Tracked:
-    """A frame's pose and gaze by the detector's points, without an expression."""
+def aim(face: Face, frame: Frame, w: Weights) -> Tracked:
+    """A frame's pose by the detector's points, without an expression."""
     pinned = fit.detected(face, frame, w)
     start = first_state(frame, face.lens, len(face.rig.deltas))
     state = fit.fit_points(face, frame, pinned, start, w, rigid=4, steps=0)
-    angles = gaze.gaze(gaze.irises(frame), eyes.centres, eyes.radius, face.lens, state.R, state.t)
-    return Tracked(frame, state, pinned, 0.0, angles)
+    return Tracked(frame, state, pinned, 0.0, *gaze.irises(frame), np.full((2, 2), np.nan))
 
 
 def settle(face: Face, aimed: Tracked, template: Template, eyes: Eyes, w: Weights) -> Tracked:
+    """The frame with weights by the detector's points, those of the eyes held as the picture shows them."""
+    aimed = regard(face, aimed, template, eyes)
+    pinned = fit.detected(face, aimed.frame, w)
+    start = replace(aimed.state, weights=aimed.frame.low)
+    return replace(aimed, pinned=pinned, state=fit.fit_points(face, aimed.frame, pinned, start, w, rigid=0, steps=6))
+
+
+def regard(face: Face, one: Tracked, template: Template, eyes: Eyes) -> Tracked:
     """
-    The frame with weights by the detector's points; the eyes' own held where they look from their rest, and blinks
-    where the picture shows how far the lids are shut, unless the user has set points.
+    The frame with its gaze at its present pose, and the eyes' own weights held: the eyeLook shapes' where they look
+    from their rest, and blinks where the picture shows how far the lids are shut, unless the user has set points.
     """
-    frame = aimed.frame
-    told = frame.scores[BLINKS]
+    frame = one.frame
     seen = lids.shut(frame.shown, eyes.opened)
-    angles = gaze.yoked(aimed.gaze - eyes.rest, np.nan_to_num(np.where(np.isfinite(seen), seen, told)))
-    held = gaze.look_weights(template, angles)[: len(frame.low)]
+    shut = np.nan_to_num(np.where(np.isfinite(seen), seen, frame.scores[BLINKS]))
+    turned = gaze.yoked(_looking(face, one, eyes) - eyes.rest, shut)
+    held = gaze.look_weights(template, turned)[: len(frame.low)]
     fixed = gaze.turning(template, len(frame.low))
     shut = lids.shut(frame.shown, eyes.opened, held[_DOWNS])
     known = np.isfinite(shut) & (frame.clicks is None)
     fixed[BLINKS] = known
     held[BLINKS] = shut = np.where(known, shut, 0.0)
-    low, high = np.where(fixed, held, 0.0), np.where(fixed, held, frame.high)
-    frame = replace(frame, low=low, high=high, shut=shut)
-    aimed = replace(aimed, pinned=fit.detected(face, frame, w))
-    start = replace(aimed.state, weights=frame.low)
-    state = fit.fit_points(face, frame, aimed.pinned, start, w, rigid=0, steps=6)
-    return replace(aimed, frame=frame, state=state, gaze=angles)
+    low, high = np.where(fixed, held, 0.0), np.where(fixed, held, 1.0)
+    state = replace(one.state, weights=np.clip(one.state.weights, low, high))
+    return replace(one, frame=replace(frame, low=low, high=high, shut=shut), state=state, gaze=turned)
 
 
-def looking_ahead(aimed: list[Tracked], eyes: Eyes) -> Eyes:
+def _looking(face: Face, one: Tracked, eyes: Eyes) -> np.ndarray:
+    """(2, 2) where each eye looks, NaN where that is not to be believed."""
+    state = one.state
+    angles = gaze.gaze(one.irises, eyes.centres, eyes.radius, face.lens, state.R, state.t)
+    angles[eyes.by_rims & ~one.rims] = np.nan
+    return angles
+
+
+def looking_ahead(face: Face, tracked: list[Tracked], eyes: Eyes) -> Eyes:
     """
     The eyes with their rest: the median of the clip's gaze. The detector's irises lie off by degrees, in a way of each
     face's own, and who is filmed mostly looks ahead, with open eyes.
     """
-    rest = np.nan_to_num(np.nanmedian([one.gaze for one in aimed], axis=0))
-    return replace(eyes, rest=rest, opened=lids.usually_open(np.array([one.frame.shown for one in aimed])))
+    eyes = replace(eyes, by_rims=np.mean([one.rims for one in tracked], axis=0) >= _MOSTLY)
+    rest = np.nan_to_num(np.nanmedian([_looking(face, one, eyes) for one in tracked], axis=0))
+    return replace(eyes, rest=rest, opened=lids.usually_open(np.array([one.frame.shown for one in tracked])))
 
 
 def seek(
@@ -158,13 +179,15 @@ def begin(
     template: Template, face: Face, skin: Skin, frames: list[Frame], eyes: Eyes, w: Weights
 ) -> tuple[Face, Eyes, list[Tracked]]:
     """Frames of a clip tracked by points, the face with the clip's own lens, the eyes with their usual gaze."""
-    aimed = list(each_alone(lambda f: aim(face, f, eyes, w), frames))
-    eyes = looking_ahead(aimed, eyes)
+    aimed = list(each_alone(lambda f: aim(face, f, w), frames))
+    eyes = looking_ahead(face, aimed, eyes)
     tracked = list(each_alone(lambda one: settle(face, one, template, eyes, w), aimed))
     for _ in range(2):
         tracked = list(each_alone(lambda one: seek(face, skin, one, w, ()), tracked))
     face, tracked = _lens(face, tracked)
-    return face, eyes, tracked
+    # the pose by the detector alone nods where the jaw drops, and the gaze with it
+    eyes = looking_ahead(face, tracked, eyes)
+    return face, eyes, [regard(face, one, template, eyes) for one in tracked]
 
 
 def alternate(
@@ -214,7 +237,7 @@ def alternate(
         if number + 1 >= len(ROUND_LEVELS) and moved < settled:
             advance(share * (rounds - 1 - number))
             break
-    return face, eyes, tracked, history
+    return face, eyes, [regard(face, one, template, eyes) for one in tracked], history
 
 
 def _lens(face: Face, tracked: list[Tracked]) -> tuple[Face, list[Tracked]]:

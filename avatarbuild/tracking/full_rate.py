@@ -11,7 +11,7 @@ import scipy.linalg
 from avatarbuild.landmarks import region_about, trace
 from avatarbuild.parallel import each_alone
 from avatarbuild.template import Template
-from avatarbuild.tracking.alternation import Eyes, Skin, Tracked, aim, seek, settle
+from avatarbuild.tracking.alternation import Eyes, Skin, Tracked, aim, regard, seek, settle
 from avatarbuild.tracking.corrections import shifted
 from avatarbuild.tracking.fit import Face, State, Weights
 from avatarbuild.tracking.frames import Frame, ScoreLevel, frame
@@ -85,8 +85,9 @@ def follow(
             told = clicks.get(number)
             marks = seen.points if told is None else shifted(seen.points, told, face.markers)
             here = frame(number, time, rgb, marks, seen.presence, scores, told)
-            begun = settle(face, aim(face, here, eyes, w), template, eyes, w)
+            begun = settle(face, aim(face, here, w), template, eyes, w)
             one = seek(face, skin, begun, w, (fitting(here, FLOW_SIDE),), fitting(here, DENSE_SIDE))
+            one = regard(face, one, template, eyes)
         return Found(number, one.state, one.quality, one.gaze)
 
     out = []

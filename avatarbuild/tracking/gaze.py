@@ -20,12 +20,12 @@ _LEAST_SHOWN = 0.4  # of the angles that lids leave free
 _ALIKE = 0.25  # how far the rim's radius may be from the detector's
 
 
-def irises(frame: Frame) -> np.ndarray:
+def irises(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
     """
-    (2, 2) pixels: the middles of the left and right iris, by their rims in the frame where these show, else as the
-    detector has them: it sees an eye look aside, but hardly up or down.
+    (2, 2) pixels: the middles of the left and right iris, and (2,) bool whether by their rims in the frame; else they
+    are the detector's, which sees an eye look aside, but hardly up or down, and errs by ten degrees where lids move.
     """
-    out = np.empty((2, 2))
+    out, rims = np.empty((2, 2)), np.zeros(2, bool)
     for side, middle in enumerate(_IRISES):
         mark, rim = frame.marks[middle, :2], frame.marks[[middle + 1, middle + 3], :2]
         radius = float(np.linalg.norm(rim[0] - rim[1])) / 2
@@ -39,8 +39,8 @@ def irises(frame: Frame) -> np.ndarray:
             picture = 255 * np.maximum(np.exp(window) - DARK, 0) ** (1 / 2.2)
             found, size, shown = iris_circle(picture, mark - frame.corner - low, radius)
             if shown >= _LEAST_SHOWN and abs(size / radius - 1) < _ALIKE:
-                out[side] = found + frame.corner + low
-    return out
+                out[side], rims[side] = found + frame.corner + low, True
+    return out, rims
 
 
 def gaze(

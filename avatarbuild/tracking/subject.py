@@ -66,7 +66,8 @@ def subject(
         (build_mipmap(grey[..., None]), template.uv, template.uv_triangles[part]),
     )
     face = face_of(rig, lens, points, levels, template.triangles[part], tuple(limits_of(template).items()))
-    return face, skin, Eyes(neutral.eye_centres, neutral.eye_radius, np.zeros((2, 2)), np.full(2, np.nan))
+    unknown = np.full(2, np.nan)
+    return face, skin, Eyes(neutral.eye_centres, neutral.eye_radius, np.zeros((2, 2)), unknown, np.zeros(2, bool))
 
 
 def said(views: Views) -> np.ndarray:
