@@ -51,7 +51,7 @@ class Freedom:
     least: float = 0.15
     reach: float = 12.0
     depth: float = 0.15
-    neutral: float = 0.2
+    neutral: float = 0.01
     length: float = 40.0
     worth: float = 0.3
     steps: int = 30
