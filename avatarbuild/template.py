@@ -163,10 +163,6 @@ class Template:
             return self.subdivision @ (self.cage_mean + (a @ cage).reshape(-1, 3))
         return self.mean + (a @ self.identity[: len(a)].reshape(len(a), self.mean.size)).reshape(-1, 3)
 
-    def expressions_at(self, coefficients: np.ndarray | None = None) -> np.ndarray:
-        """(e, n, 3) deltas; the model is additive, so that they do not depend on the identity."""
-        return self.expressions
-
     def eye_positions(self, coefficients: np.ndarray | None = None) -> np.ndarray:
         """(2, 3) rotation centres of the left and right eyeball at an identity."""
         if coefficients is None:

@@ -255,7 +255,7 @@ def norms(t: Template, people: int, frames: int, out: Path | None) -> None:
 def true_normals(face: Face, skin: Skin, one: Seen) -> tuple[np.ndarray, np.ndarray]:
     """(h, w, 3) in camera axes at a drawing's pixels, without still relief; (h, w) degrees by which wrinkles tilt."""
     calm = replace(skin, surface=build_mipmap(np.zeros((8, 8, 6), np.float32)))
-    pixels, depth = truth.skin_pixels(skin, face.camera)
+    pixels, depth = face.camera.project(skin.vertices)
     raster = rasterise(pixels, depth, skin.triangles, SIZE, near=40)
     both = [truth.relief_normals(s, raster, pixels, depth) for s in (calm, replace(calm, detail=None))]
     (w, h), (x, y) = one.drawn.size, one.drawn.corner.astype(int)

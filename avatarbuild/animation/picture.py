@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import scipy.sparse as sp
 
 from avatarbuild.animation.skin_light import bent, shaded_hollows, shading
 from avatarbuild.artefacts import Albedo, Blendshapes
@@ -25,7 +24,6 @@ PIVOT = np.array([0.0, -95.0, -55.0])  # mm: about where a head turns on its nec
 _TEXTURE = 2048  # texels: finer ones no frame shows
 _BRIGHT = 0.78  # of the light that a face turned to the camera gets
 _SHINE = Light(lamp=0.0, above=0.0, below=0.0, gloss=0.8)
-_PARTS = ("skin",)
 
 
 @dataclass(frozen=True)
@@ -90,9 +88,8 @@ def frame(
     the head at rest, or under a lamp.
     """
     posed = model.posed(weights)
-    refined: Refined = model.refined
-    matrix: sp.csr_matrix = refined.matrix
-    vertices = (matrix @ posed - PIVOT) @ turn.T + PIVOT
+    refined = model.refined
+    vertices = (refined.matrix @ posed - PIVOT) @ turn.T + PIVOT
     seen = look(vertices, refined.triangles, view, factor, cull=True)
     triangle, barycentric = seen.raster.triangle, seen.raster.barycentric
     normals = vertex_normals(vertices, refined.triangles)

@@ -69,8 +69,8 @@ def expression(name: str) -> dict[str, float]:
     return {**_COMPANIONS.get(name, {}), name: 1.0}
 
 
-def plain(template: Template, eye_texture: np.ndarray | None = None) -> Paint:
-    """A template head in the colours of a doll; eye_texture (s, s, 3) uint8 covers the square of one eye's UV."""
+def plain(template: Template) -> Paint:
+    """A template head in the colours of a doll."""
     colours = np.tile(decode_srgb(SKIN), (template.vertex_count, 1))
     mouth = template.regions["mouth"] & ~template.regions["face"]
     for mask, colour in ((template.regions["lips"], LIP), (template.regions["brows"], BROW), (mouth, INSIDE)):
@@ -91,7 +91,7 @@ def plain(template: Template, eye_texture: np.ndarray | None = None) -> Paint:
             gloss[template.parts[name].vertices] = value
     gloss[template.regions["lips"]] = 0.4
     gloss[mouth | template.regions["sockets"]] = 0.2
-    return Paint(colours, gloss, () if eye_texture is None else _irises(template, eye_texture))
+    return Paint(colours, gloss)
 
 
 def figure(blendshapes: Blendshapes, albedo: np.ndarray, template: Template, levels: int) -> Figure:
@@ -103,25 +103,3 @@ def figure(blendshapes: Blendshapes, albedo: np.ndarray, template: Template, lev
     skin = Decal(slice(0, len(refined.triangles)), build_mipmap(texture), refined.uv, refined.uv_triangles)
     colours = np.tile(decode_srgb(SKIN), (len(gloss), 1))
     return Figure(template, blendshapes, refined.matrix, refined.triangles, Paint(colours, gloss, [skin]))
-
-
-def _irises(template: Template, texture: np.ndarray) -> list[Decal]:
-    mipmap = build_mipmap(decode_srgb(texture).astype(np.float32))
-    uv = _eye_uv(template, template.uv, template.uv_triangles, 1)
-    return [
-        Decal(template.parts[name].triangles, mipmap, uv, template.uv_triangles)
-        for name in _EYES
-        if name in template.parts
-    ]
-
-
-def _eye_uv(template: Template, uv: np.ndarray, uv_triangles: np.ndarray, times: int) -> np.ndarray:
-    """The UVs with each eye's square stretched to the whole texture."""
-    out = uv.copy()
-    for name in _EYES:
-        if name in template.parts:
-            part = template.parts[name].triangles
-            rows = np.unique(uv_triangles[part.start * times : part.stop * times])
-            low, high = uv[rows].min(axis=0), uv[rows].max(axis=0)
-            out[rows] = (uv[rows] - low) / (high - low)
-    return out

@@ -205,7 +205,7 @@ def write_visibility(folder: Path, counts: np.ndarray, order: Order, chart: Char
 
 def write_normals(folder: Path, frame: int, skin: Skin, camera: Camera, face: np.ndarray) -> None:
     """normals_%04d.npz: int8 normals (camera axes, wrinkles included) in the face's box; `face` (m,) bool faces."""
-    pixels, depth = skin_pixels(skin, camera)
+    pixels, depth = camera.project(skin.vertices)
     raster = rasterise(pixels, depth, skin.triangles, camera.size, near=40)
     mask = (raster.triangle >= 0) & face[raster.triangle]
     rows, columns = np.nonzero(mask)
@@ -218,11 +218,6 @@ def write_normals(folder: Path, frame: int, skin: Skin, camera: Camera, face: np
     inside = mask[cut]
     stored = np.round(127 * normal * inside[..., None]).astype(np.int8)
     _save(folder / f"normals_{frame:04d}.npz", frame=np.array(frame), bbox=box, normal=stored, mask=inside)
-
-
-def skin_pixels(skin: Skin, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (n, 2) and depth (n,) of a head."""
-    return camera.project(skin.vertices)
 
 
 def relief_normals(skin: Skin, raster: Raster, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
