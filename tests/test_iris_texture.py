@@ -29,7 +29,7 @@ def template() -> Template:
 @pytest.fixture(scope="module")
 def balls(template) -> Eyeballs:
     gaze = np.tile([0.0, 0.0, 1.0], (2, 1))
-    return Eyeballs(template.eye_centres, np.full(2, 12.0), gaze, 0.0, np.full((2, 3), np.nan), 5.85, 0)
+    return Eyeballs(template.eye_centres, np.full(2, 12.0), gaze, 0.0)
 
 
 def photos_of(
