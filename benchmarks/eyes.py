@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from avatarbuild.artefacts import Cameras, Capture, Neutral
-from avatarbuild.formats.colour import linear_from_srgb
+from avatarbuild.formats.colour import decode_srgb
 from avatarbuild.geometry.similarity import similarity
 from avatarbuild.registration.eye_painting import eye_map
 from avatarbuild.registration.eye_shape import EYES
@@ -161,7 +161,7 @@ def colours(truth: Path, texture: np.ndarray, template: Template) -> str:
     said = []
     for name, (least, most) in (("iris", IRIS), ("white", WHITE)):
         zone = (radius > least) & (radius < most)
-        a, b = (np.median(linear_from_srgb(image[zone] / 255), axis=0) for image in (true, texture))
+        a, b = (np.median(decode_srgb(image[zone]), axis=0) for image in (true, texture))
         signal = (np.stack([a, b])[None] ** (1 / 2.2)).astype(np.float32)
         lab = cv2.cvtColor(signal, cv2.COLOR_RGB2Lab)[0]
         said.append(f"{name} {np.linalg.norm(lab[0] - lab[1]):.1f} off in Lab")

@@ -6,7 +6,7 @@ import pycolmap
 import pytest
 
 from avatarbuild.formats.avatar_glb import part_uv
-from avatarbuild.formats.colour import linear_from_srgb, srgb_from_linear
+from avatarbuild.formats.colour import decode_srgb, encode_srgb
 from avatarbuild.registration.eye_painting import WHITE, eye_map, paint_eye
 from avatarbuild.registration.eye_shape import eye_shape
 from avatarbuild.registration.eyes import Eyeballs
@@ -72,7 +72,7 @@ def photos_of(
             fill(inner, middle + [2.5, 2.0, 0] + 0.8 * ring, np.full(3, 0.9))
             picture[opening] = inner[opening]
         picture = cv2.GaussianBlur(picture, (0, 0), 1.0) + rng.normal(0, 0.003, picture.shape)
-        pictures.append(np.round(255 * srgb_from_linear(np.clip(picture, 0, 1))).astype(np.uint8))
+        pictures.append(encode_srgb(picture))
     count = len(yaws)
     placed = Placed(np.arange(count), [camera] * count, np.array(rotation), np.array(translation))
     marks = np.full((count, 478, 3), np.nan)
@@ -162,7 +162,7 @@ def test_shut_eyes_give_a_usual_eye(template, balls):
     assert made.patches == []
     shape = eye_shape(template)
     plain = paint_eye(eye_map(template, 256), shape).colour()
-    np.testing.assert_allclose(linear_from_srgb(made.texture / 255), np.clip(plain, 0, 1), atol=0.02)
+    np.testing.assert_allclose(decode_srgb(made.texture), np.clip(plain, 0, 1), atol=0.02)
 
 
 def test_pupil_stays_black_and_white_stays_white(template, balls):

@@ -10,13 +10,14 @@ import numpy as np
 from avatarbuild.animation.skin_light import bent, shaded_hollows, shading
 from avatarbuild.artefacts import Albedo, Blendshapes
 from avatarbuild.details.synthesis import Synthesis
+from avatarbuild.formats.colour import decode_srgb
 from avatarbuild.geometry.meshes import vertex_normals, vertex_of_uv
 from avatarbuild.geometry.mipmap import Mipmap, build_mipmap, sample_texture
 from avatarbuild.geometry.raster import interpolate
 from avatarbuild.geometry.tangents import vertex_tangents
 from avatarbuild.report.heads import plain
 from avatarbuild.report.rendering import View, finish, look
-from avatarbuild.report.shading import Light, decode_srgb, lit, occlusion
+from avatarbuild.report.shading import Light, lit, occlusion
 from avatarbuild.template import Refined, Template
 from avatarbuild.texture.photos import shrunk
 

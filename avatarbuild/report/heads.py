@@ -8,9 +8,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from avatarbuild.artefacts import Blendshapes
+from avatarbuild.formats.colour import decode_srgb, linear_from_srgb
 from avatarbuild.geometry.mipmap import build_mipmap
 from avatarbuild.report.rendering import Decal, Paint, View, draw
-from avatarbuild.report.shading import decode_srgb
 from avatarbuild.template import Template, expression_weights
 from avatarbuild.texture.photos import shrunk
 
@@ -71,20 +71,20 @@ def expression(name: str) -> dict[str, float]:
 
 def plain(template: Template) -> Paint:
     """A template head in the colours of a doll."""
-    colours = np.tile(decode_srgb(SKIN), (template.vertex_count, 1))
+    colours = np.tile(linear_from_srgb(SKIN), (template.vertex_count, 1))
     mouth = template.regions["mouth"] & ~template.regions["face"]
     for mask, colour in ((template.regions["lips"], LIP), (template.regions["brows"], BROW), (mouth, INSIDE)):
-        colours[mask] = decode_srgb(colour)
+        colours[mask] = linear_from_srgb(colour)
     for name, colour in (("teeth_upper", TOOTH), ("teeth_lower", TOOTH), ("gums", GUM), ("tongue", TONGUE)):
         if name in template.parts:
-            colours[template.parts[name].vertices] = decode_srgb(colour)
+            colours[template.parts[name].vertices] = linear_from_srgb(colour)
     for name, centre in zip(_EYES, template.eye_centres, strict=True):
         if name in template.parts:
             rows = template.parts[name].vertices
             offset = template.mean[rows] - centre
             across, front = np.hypot(offset[:, 0], offset[:, 1]), offset[:, 2] > 0
-            ring = np.where((front & (across < 6.0))[:, None], decode_srgb(IRIS), decode_srgb(WHITE))
-            colours[rows] = np.where((front & (across < 2.3))[:, None], decode_srgb(PUPIL), ring)
+            ring = np.where((front & (across < 6.0))[:, None], linear_from_srgb(IRIS), linear_from_srgb(WHITE))
+            colours[rows] = np.where((front & (across < 2.3))[:, None], linear_from_srgb(PUPIL), ring)
     gloss = np.full(template.vertex_count, 0.2)
     for name, value in _GLOSS.items():
         if name in template.parts:
@@ -101,5 +101,5 @@ def figure(blendshapes: Blendshapes, albedo: np.ndarray, template: Template, lev
     step = max(1, albedo.shape[0] // _TEXTURE)
     texture = shrunk(decode_srgb(albedo).astype(np.float32), step)
     skin = Decal(slice(0, len(refined.triangles)), build_mipmap(texture), refined.uv, refined.uv_triangles)
-    colours = np.tile(decode_srgb(SKIN), (len(gloss), 1))
+    colours = np.tile(linear_from_srgb(SKIN), (len(gloss), 1))
     return Figure(template, blendshapes, refined.matrix, refined.triangles, Paint(colours, gloss, [skin]))

@@ -13,10 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from avatarbuild.formats.colour import encode_srgb
 from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.geometry.mipmap import Mipmap, sample_texture
 from avatarbuild.geometry.raster import Raster, box_average, interpolate, project, rasterise
-from avatarbuild.report.shading import Light, encode_srgb, lit
+from avatarbuild.report.shading import Light, lit
 
 _PAPER = (0.60, 0.62, 0.65)  # linear: a grey that suits light and dark pages
 

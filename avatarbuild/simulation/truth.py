@@ -15,7 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from avatarbuild.formats.colour import srgb_from_linear
+from avatarbuild.formats.colour import encode_srgb
 from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.geometry.mipmap import sample_texture
 from avatarbuild.geometry.raster import Raster, interpolate, rasterise
@@ -240,7 +240,7 @@ def write_albedo(folder: Path, head: Head) -> None:
     albedo = head.surface.albedo
     if albedo.shape[0] != _ALBEDO:
         albedo = cv2.resize(albedo, (_ALBEDO, _ALBEDO), interpolation=cv2.INTER_AREA)
-    stored = np.round(255 * srgb_from_linear(np.clip(albedo, 0, 1))).astype(np.uint8)
+    stored = encode_srgb(albedo)
     if not cv2.imwrite(str(folder / "albedo_face.png"), stored[..., ::-1]):
         raise OSError(f"cannot write {folder / 'albedo_face.png'}")
 
