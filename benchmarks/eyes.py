@@ -23,7 +23,6 @@ from avatarbuild.artefacts import Cameras, Capture, Neutral
 from avatarbuild.formats.colour import decode_srgb
 from avatarbuild.geometry.similarity import similarity
 from avatarbuild.registration.eye_painting import eye_map
-from avatarbuild.registration.eye_shape import EYES
 from avatarbuild.registration.eyes import eyeballs
 from avatarbuild.registration.inner_parts import inner_parts
 from avatarbuild.registration.iris_sightings import Photos
@@ -31,7 +30,7 @@ from avatarbuild.registration.iris_texture import eye_texture
 from avatarbuild.registration.lids import lid_fit, settle_lids
 from avatarbuild.sfm.metric import placed_photos
 from avatarbuild.simulation.chart import softened
-from avatarbuild.template import Template
+from avatarbuild.template import EYE_PARTS, Template
 
 NOISE = 0.3  # mm
 ICT_EYES = ((21451, 23021), (23021, 24591))  # vertices of the eyeballs in ICT-FaceKit's mesh, left and right
@@ -128,7 +127,7 @@ def true_eyes(truth: Path, template: Template) -> tuple[np.ndarray, float]:
         with np.load(truth / "mesh.npz") as mesh:
             balls = [mesh["neutral"][first:last].astype(float) for first, last in ICT_EYES]
     else:
-        balls = [known[0][template.parts[name].vertices] for name in EYES]
+        balls = [known[0][template.parts[name].vertices] for name in EYE_PARTS]
     fits = [sphere(ball) for ball in balls]
     return np.array([centre for centre, _ in fits]), float(np.mean([radius for _, radius in fits]))
 

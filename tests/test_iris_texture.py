@@ -5,7 +5,6 @@ import numpy as np
 import pycolmap
 import pytest
 
-from avatarbuild.formats.avatar_glb import part_uv
 from avatarbuild.formats.colour import decode_srgb, encode_srgb
 from avatarbuild.registration.eye_painting import WHITE, eye_map, paint_eye
 from avatarbuild.registration.eye_shape import eye_shape
@@ -123,7 +122,7 @@ def test_map_of_the_eyes_own_chart(template):
     size = 512
     offset = eye_map(template, size)
     part = template.parts["eye_left"]
-    uv = part_uv(template, "eye_left")
+    uv = template.part_uv("eye_left")
     corners, chart = template.triangles[part.triangles], template.uv_triangles[part.triangles]
     middle = template.mean[corners].mean(axis=1) - template.eye_centres[0]
     texel = np.floor(uv[chart].mean(axis=1) * [size, -size] + [0, size]).astype(int)

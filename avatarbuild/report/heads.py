@@ -11,7 +11,7 @@ from avatarbuild.artefacts import Blendshapes
 from avatarbuild.formats.colour import decode_srgb, linear_from_srgb
 from avatarbuild.geometry.mipmap import build_mipmap
 from avatarbuild.report.rendering import Decal, Paint, View, draw
-from avatarbuild.template import Template, expression_weights
+from avatarbuild.template import EYE_PARTS, Template, expression_weights
 from avatarbuild.texture.photos import shrunk
 
 # sRGB, as they look
@@ -19,7 +19,6 @@ SKIN, LIP, BROW = (0.80, 0.64, 0.56), (0.69, 0.43, 0.40), (0.30, 0.23, 0.19)
 WHITE, IRIS, PUPIL = (0.88, 0.86, 0.84), (0.35, 0.24, 0.15), (0.03, 0.03, 0.03)
 TOOTH, GUM, TONGUE, INSIDE = (0.90, 0.87, 0.80), (0.70, 0.38, 0.38), (0.70, 0.38, 0.38), (0.30, 0.12, 0.12)
 
-_EYES = ("eye_left", "eye_right")
 _GLOSS = {"teeth_upper": 0.62, "teeth_lower": 0.62, "gums": 0.5, "tongue": 0.45, "eye_left": 0.95, "eye_right": 0.95}
 _TEXTURE = 2048  # texels: finer ones no picture shows
 _COMPANIONS = {"mouthClose": {"jawOpen": 1.0}, "tongueOut": {"jawOpen": 0.45}}  # shapes that make sense with others
@@ -37,20 +36,20 @@ class Figure:
 
     def posed(self, weights: dict[str, float]) -> np.ndarray:
         """(n', 3): neutral + sum_j w_j deltas_j, eyeballs turned, refined."""
-        w = expression_weights(**weights)
-        x = np.asarray(self.blendshapes.neutral, np.float64).copy()
-        for j in np.flatnonzero(w):
-            x += w[j] * self.blendshapes.deltas[j]
-        turns = self.template.eye_rotation_matrices(w)
-        for name, centre, turn in zip(_EYES, self.blendshapes.eye_centres, turns, strict=True):
-            if name in self.template.parts:
-                ball = self.template.parts[name].vertices
-                x[ball] = (x[ball] - centre) @ turn.T + centre
-        return self.matrix @ x
+        return self.matrix @ posed(self.template, self.blendshapes, expression_weights(**weights))
 
     def picture(self, weights: dict[str, float], view: View) -> np.ndarray:
         """(h, w, 3) uint8 sRGB."""
         return draw(self.posed(weights), self.triangles, self.paint, view)
+
+
+def posed(template: Template, rig: Blendshapes, weights: np.ndarray) -> np.ndarray:
+    """(n, 3) mm: neutral + sum_j w_j deltas_j of a rig at weights (52,), eyeballs turned about its own centres."""
+    x = np.asarray(rig.neutral, np.float64).copy()
+    for j in np.flatnonzero(weights):
+        x += weights[j] * rig.deltas[j]
+    template.turn_eyes(x, weights, rig.eye_centres)
+    return x
 
 
 def coarse(figure: Figure) -> Figure:
@@ -78,7 +77,7 @@ def plain(template: Template) -> Paint:
     for name, colour in (("teeth_upper", TOOTH), ("teeth_lower", TOOTH), ("gums", GUM), ("tongue", TONGUE)):
         if name in template.parts:
             colours[template.parts[name].vertices] = linear_from_srgb(colour)
-    for name, centre in zip(_EYES, template.eye_centres, strict=True):
+    for name, centre in zip(EYE_PARTS, template.eye_centres, strict=True):
         if name in template.parts:
             rows = template.parts[name].vertices
             offset = template.mean[rows] - centre
