@@ -11,6 +11,7 @@ import numpy as np
 
 from avatarbuild.formats import ply
 from avatarbuild.formats.images import decode_jpeg, decode_png, encode_png
+from avatarbuild.formats.light import read_light, write_light
 
 if TYPE_CHECKING:
     import pycolmap
@@ -336,15 +337,12 @@ class Albedo:
         folder.mkdir(parents=True, exist_ok=True)
         for name in _ALBEDO_PICTURES:
             (folder / f"{name}.png").write_bytes(encode_png(getattr(self, name)))
-        with (folder / "light.npz").open("wb") as f:
-            np.savez(f, harmonics=self.harmonics, skin_colour=self.skin_colour, gains=self.gains)
+        write_light(folder, self.harmonics, self.skin_colour, self.gains)
 
     @staticmethod
     def load(folder: Path) -> Albedo:
         pictures: dict[str, Any] = {n: decode_png((folder / f"{n}.png").read_bytes()) for n in _ALBEDO_PICTURES}
-        with np.load(folder / "light.npz") as arrays:
-            pictures |= {name: arrays[name] for name in ("harmonics", "skin_colour", "gains")}
-        return Albedo(**pictures)
+        return Albedo(**pictures | read_light(folder))
 
 
 @dataclass(frozen=True)

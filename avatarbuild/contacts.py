@@ -17,10 +17,9 @@ from avatarbuild.energies.lip_contact import LipBand
 from avatarbuild.energies.tooth_cover import Mouth
 from avatarbuild.geometry import meshes
 from avatarbuild.solvers.sparse import Factor
-from avatarbuild.template import Template
+from avatarbuild.template import EYE_PARTS, Template
 
 STILL = 1e-7  # mm: less is no motion
-EYES = ("eye_left", "eye_right")
 LIMITS = (
     ("lid_gap_mm", 0.3, "closed lids are {} mm off their place on the eyeballs: look at eyeBlink"),
     ("lid_sunk_mm", 0.6, "eyeballs show through closing lids by {} mm: look at eyeBlink"),
@@ -74,9 +73,9 @@ class Contacts:
     def _lids(self, side: int, triangles: np.ndarray, graph: np.ndarray) -> Lids | None:
         t, person = self.template, self.person
         mean, sockets = t.mean[self.skin], t.regions["sockets"][self.skin]
-        if EYES[side] not in t.parts or not sockets.any():
+        if EYE_PARTS[side] not in t.parts or not sockets.any():
             return None
-        ball = t.parts[EYES[side]].vertices
+        ball = t.parts[EYE_PARTS[side]].vertices
         eye = lid_contact.eye_of(t.mean[ball], t.eye_centres[side])
         own = lid_contact.eye_like(person.vertices[ball], person.eye_centres[side], eye, t.mean[ball])
         other = t.eye_centres[1 - side]

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from scipy.linalg import eigh
 
-from avatarbuild.formats.colour import LUMINANCE
+from avatarbuild.formats.colour import LUMINANCE, decode_srgb
 from avatarbuild.landmarks import crop, region_about
 from avatarbuild.portrait import BROW, CHEEK, EYE, LIPS, OVAL, twin
 
@@ -53,14 +53,14 @@ def measure(rgb: np.ndarray, points: np.ndarray | None) -> Measures:
         skin = _filled(local, [OVAL]) & ~_filled(local, [EYE, twin(EYE), BROW, twin(BROW), LIPS], grow=4)
         if not skin.any():
             skin = np.ones(small.shape[:2], bool)
-        luminance = linear(small) @ LUMINANCE
+        luminance = decode_srgb(small) @ LUMINANCE
         right, left = (luminance[_filled(local, [ring])] for ring in (CHEEK, twin(CHEEK)))
         side = float(np.log2(np.median(left) / np.median(right))) if min(left.size, right.size) > 20 else np.nan
         low = np.maximum(points[:468, :2].min(0), 0).astype(int)
         high = points[:468, :2].max(0).astype(int)
         part = rgb[low[1] : high[1], low[0] : high[0]]
         blur = blur_radius(part if min(part.shape[:2]) > 16 else rgb)
-    colours = linear(small[skin])
+    colours = decode_srgb(small[skin])
     luminance = colours @ LUMINANCE
     mean = np.maximum(colours.mean(0), 1e-4)
     shade, light = np.maximum(np.percentile(luminance, [25, 95]), 1e-4)
@@ -97,15 +97,6 @@ def blur_radius(rgb: np.ndarray) -> float:
         return 20.0
     blur = np.sqrt(max((_COARSE**2 - squared * _FINE**2) / (squared - 1.0), 0.0))
     return float(np.clip(blur, _LEAST_BLUR, 20.0))
-
-
-def linear(rgb: np.ndarray) -> np.ndarray:
-    """Linear float64 of uint8 sRGB."""
-    return _DECODED[rgb]
-
-
-_CODE = np.arange(256) / 255.0
-_DECODED = np.where(_CODE <= 0.04045, _CODE / 12.92, ((_CODE + 0.055) / 1.055) ** 2.4)
 
 
 def _gradients(grey: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:

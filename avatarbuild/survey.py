@@ -68,9 +68,7 @@ def focal_in_pixels(equivalent: float, size: tuple[int, int]) -> float:
 
 
 def video_focal(source: video.VideoFile, photos: Views, assumed: bool) -> float:
-    """Pixels: what the video's header tells, else the photos' lens and the usual crop; `assumed`: theirs is a guess."""
-    if np.isfinite(source.focal):
-        return source.focal
+    """Pixels, since no video tells: the photos' lens and the usual crop; `assumed`: theirs is a guess."""
     equivalent = np.median(photos.focal / np.hypot(*photos.size.T)) * np.hypot(*source.size)
     return VIDEO_CROP * (focal_in_pixels(MAIN_LENS, source.size) if assumed else float(equivalent))
 
@@ -88,12 +86,11 @@ def read_photos(
     def read(file: Path) -> Shot | InputError:
         try:
             photo = images.read_photo(folder.root / file, max_pixels)
-            facts = images.photo_facts(folder.root / file)
         except InputError as e:
             return e
         seen = look(photo.rgb, presence, careful=jpeg_quality is not None, further=True)
         copy = b"" if jpeg_quality is None else images.encode_jpeg(photo.rgb, jpeg_quality)
-        return Shot(file, facts, (photo.rgb.shape[1], photo.rgb.shape[0]), photo.focal, seen, copy)
+        return Shot(file, photo.facts, (photo.rgb.shape[1], photo.rgb.shape[0]), photo.focal, seen, copy)
 
     shots, faults = [], []
     for file, result in zip(folder.photos, in_order(read, folder.photos)):

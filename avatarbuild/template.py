@@ -32,14 +32,16 @@ ARKIT_NAMES: tuple[str, ...] = (
     *("browDownRight", "browInnerUp", "browOuterUpLeft", "browOuterUpRight", "cheekPuff", "cheekSquintLeft"),
     *("cheekSquintRight", "noseSneerLeft", "noseSneerRight", "tongueOut"),
 )
+EYE_PARTS = ("eye_left", "eye_right")
 MOUTH_PARTS = ("teeth_upper", "teeth_lower", "gums", "tongue")
-PART_NAMES = ("skin", "eye_left", "eye_right", *MOUTH_PARTS)
+PART_NAMES = ("skin", *EYE_PARTS, *MOUTH_PARTS)
 REGION_NAMES = ("face", "lips", "lids", "nose", "brows", "ears", "scalp", "neck", "sockets", "mouth")
 CONTOUR_NAMES = (
     *("lips_outer_upper", "lips_outer_lower", "lips_inner_upper", "lips_inner_lower"),
     *("lid_upper_left", "lid_lower_left", "lid_upper_right", "lid_lower_right", "brow_left", "brow_right"),
 )
 COMBINATION_LIMITS = (("mouthClose", "jawOpen"),)  # the first's weight never exceeds the second's
+PIVOT = np.array([0.0, -95.0, -55.0])  # mm: about where a head turns on its neck
 
 
 def expression_weights(**named: float) -> np.ndarray:
@@ -163,10 +165,6 @@ class Template:
             return self.subdivision @ (self.cage_mean + (a @ cage).reshape(-1, 3))
         return self.mean + (a @ self.identity[: len(a)].reshape(len(a), self.mean.size)).reshape(-1, 3)
 
-    def expressions_at(self, coefficients: np.ndarray | None = None) -> np.ndarray:
-        """(e, n, 3) deltas; the model is additive, so that they do not depend on the identity."""
-        return self.expressions
-
     def eye_positions(self, coefficients: np.ndarray | None = None) -> np.ndarray:
         """(2, 3) rotation centres of the left and right eyeball at an identity."""
         if coefficients is None:
@@ -201,13 +199,21 @@ class Template:
         w = np.asarray(weights, np.float64)
         posed = neutral + (self._expression_matrix @ w).reshape(-1, 3)
         if eye_positions is not None and self.eye_rotations:
-            for name, centre, turn in zip(
-                ("eye_left", "eye_right"), eye_positions, self.eye_rotation_matrices(w), strict=True
-            ):
-                if name in self.parts:
-                    ball = self.parts[name].vertices
-                    posed[ball] = (posed[ball] - centre) @ turn.T + centre
+            self.turn_eyes(posed, w, eye_positions)
         return posed
+
+    def turn_eyes(self, vertices: np.ndarray, weights: np.ndarray, centres: np.ndarray) -> None:
+        """Turn the eyeballs of vertices (n, 3) about centres (2, 3) by weights (e,), in place: R_s (x - c_s) + c_s."""
+        for name, centre, turn in zip(EYE_PARTS, centres, self.eye_rotation_matrices(weights), strict=True):
+            if name in self.parts:
+                ball = self.parts[name].vertices
+                vertices[ball] = (vertices[ball] - centre) @ turn.T + centre
+
+    def part_uv(self, part: str) -> np.ndarray:
+        """(u, 2) the texture coordinates, the part's own box stretched over the whole square; others clipped."""
+        used = self.uv[np.unique(self.uv_triangles[self.parts[part].triangles])]
+        low, high = used.min(axis=0), used.max(axis=0)
+        return np.clip((self.uv - low) / np.maximum(high - low, 1e-12), 0, 1)
 
     def landmarks(self, vertices: np.ndarray) -> np.ndarray:
         """(478, 3) landmark points on posed `vertices` (n, 3)."""

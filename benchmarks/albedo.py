@@ -32,8 +32,8 @@ from avatarbuild.sfm.metric import placed_photos
 from avatarbuild.stages import albedo as stage
 from avatarbuild.template import Template
 from avatarbuild.texture.borders import border_pairs
-from avatarbuild.texture.chart import seam_ties, texels_per_mm
-from avatarbuild.texture.fusion import chart_at, corrected, fuse
+from avatarbuild.texture.chart import draw_chart, seam_ties, texels_per_mm
+from avatarbuild.texture.fusion import corrected, fuse
 from avatarbuild.texture.observations import nodes_of
 from avatarbuild.texture.photos import Photo, linear_picture, placed_in_head
 
@@ -132,7 +132,7 @@ def seams(capture: Capture, cameras: Cameras, neutral: Neutral, made: Albedo, si
     print(f"borders of patches: gradient {across.mean():.5f}, beside them {near.mean():.5f}, ratio {ratio:.2f}")
 
     nodes = nodes_of(template, neutral.vertices, neutral.seen, eyes)
-    chart = chart_at(template, nodes, size)
+    chart = draw_chart(template, nodes.uv, nodes.uv_triangles, size)
     ties = seam_ties(template, chart)
     of_photos = chart_seam(grey, result.position, ties, label >= 0)
     print(f"the chart's seam, where photos see it: {of_photos}")

@@ -27,7 +27,7 @@ from avatarbuild.options import BlendshapesOptions  # noqa: E402
 from avatarbuild.progress import Silent  # noqa: E402
 from avatarbuild.simulation.subject import Subject, random_subject  # noqa: E402
 from avatarbuild.stages.blendshapes import transferred  # noqa: E402
-from avatarbuild.template import ARKIT_NAMES, Template  # noqa: E402
+from avatarbuild.template import ARKIT_NAMES, EYE_PARTS, Template  # noqa: E402
 from avatarbuild.template import expression_weights as weights  # noqa: E402
 
 FIRST = 1000  # seed of the first person
@@ -75,7 +75,7 @@ def seen(t: Template, vertices: np.ndarray, centre: np.ndarray) -> np.ndarray:
 
 def contacts(t: Template, count: int) -> None:
     """Figures of the stage, eyeball pixels of closed eyes and mouth pixels of closed lips: worst of all people."""
-    balls = np.concatenate([np.arange(len(t.triangles))[t.parts[n].triangles] for n in ("eye_left", "eye_right")])
+    balls = np.concatenate([np.arange(len(t.triangles))[t.parts[n].triangles] for n in EYE_PARTS])
     inner = [np.arange(len(t.triangles))[t.parts[n].triangles] for n in ("teeth_upper", "teeth_lower", "tongue")]
     inside = np.concatenate([*inner, np.flatnonzero(t.regions["mouth"][t.triangles].all(axis=1))])
     sealed = [weights(**{n: 1.0}) for n in ("mouthSmile", "mouthPucker", "mouthLeft", "mouthStretch", "cheekPuff")]
@@ -123,9 +123,7 @@ def pictures(t: Template, out: Path) -> None:
 
     def posed(subject: Subject, deltas: np.ndarray, w: np.ndarray) -> np.ndarray:
         x = subject.neutral + np.tensordot(w, deltas, 1)
-        for side, name in enumerate(("eye_left", "eye_right")):
-            ball, centre = t.parts[name].vertices, subject.eye_centres[side]
-            x[ball] = (x[ball] - centre) @ t.eye_rotation_matrices(w)[side].T + centre
+        t.turn_eyes(x, w, subject.eye_centres)
         return x
 
     everything, blinks, mouths, labels = [], [], [], []

@@ -20,10 +20,9 @@ import cv2
 import numpy as np
 
 from avatarbuild.artefacts import Cameras, Capture, Neutral
-from avatarbuild.formats.colour import linear_from_srgb
+from avatarbuild.formats.colour import decode_srgb
 from avatarbuild.geometry.similarity import similarity
 from avatarbuild.registration.eye_painting import eye_map
-from avatarbuild.registration.eye_shape import EYES
 from avatarbuild.registration.eyes import eyeballs
 from avatarbuild.registration.inner_parts import inner_parts
 from avatarbuild.registration.iris_sightings import Photos
@@ -31,7 +30,7 @@ from avatarbuild.registration.iris_texture import eye_texture
 from avatarbuild.registration.lids import lid_fit, settle_lids
 from avatarbuild.sfm.metric import placed_photos
 from avatarbuild.simulation.chart import softened
-from avatarbuild.template import Template
+from avatarbuild.template import EYE_PARTS, Template
 
 NOISE = 0.3  # mm
 ICT_EYES = ((21451, 23021), (23021, 24591))  # vertices of the eyeballs in ICT-FaceKit's mesh, left and right
@@ -128,7 +127,7 @@ def true_eyes(truth: Path, template: Template) -> tuple[np.ndarray, float]:
         with np.load(truth / "mesh.npz") as mesh:
             balls = [mesh["neutral"][first:last].astype(float) for first, last in ICT_EYES]
     else:
-        balls = [known[0][template.parts[name].vertices] for name in EYES]
+        balls = [known[0][template.parts[name].vertices] for name in EYE_PARTS]
     fits = [sphere(ball) for ball in balls]
     return np.array([centre for centre, _ in fits]), float(np.mean([radius for _, radius in fits]))
 
@@ -161,7 +160,7 @@ def colours(truth: Path, texture: np.ndarray, template: Template) -> str:
     said = []
     for name, (least, most) in (("iris", IRIS), ("white", WHITE)):
         zone = (radius > least) & (radius < most)
-        a, b = (np.median(linear_from_srgb(image[zone] / 255), axis=0) for image in (true, texture))
+        a, b = (np.median(decode_srgb(image[zone]), axis=0) for image in (true, texture))
         signal = (np.stack([a, b])[None] ** (1 / 2.2)).astype(np.float32)
         lab = cv2.cvtColor(signal, cv2.COLOR_RGB2Lab)[0]
         said.append(f"{name} {np.linalg.norm(lab[0] - lab[1]):.1f} off in Lab")

@@ -30,7 +30,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import relighting
 
 from avatarbuild.artefacts import Cameras, Capture, Neutral, Views
-from avatarbuild.formats.colour import srgb_from_linear
+from avatarbuild.formats.colour import encode_srgb
 from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.geometry.mipmap import build_mipmap
 from avatarbuild.geometry.similarity import similarity
@@ -234,7 +234,7 @@ def pictures(project: Path, folder: Path, size: int) -> None:
 
     def tile(image: np.ndarray, gain: float = 1.0) -> np.ndarray:
         small = cv2.resize(image[cut].astype(np.float32) * gain, (420, 410), interpolation=cv2.INTER_AREA)
-        return np.round(255 * srgb_from_linear(np.clip(small, 0, 1))).astype(np.uint8)[..., ::-1]
+        return encode_srgb(small)[..., ::-1]
 
     start = time.perf_counter()
     both = illumination.factor(fused, template, neutral)

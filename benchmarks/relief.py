@@ -21,7 +21,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from avatarbuild.formats.colour import srgb_from_linear
+from avatarbuild.formats.colour import encode_srgb
 from avatarbuild.formats.images import encode_png
 from avatarbuild.formats.video import decode_frames, encode_clip
 from avatarbuild.geometry.mipmap import build_mipmap
@@ -124,7 +124,7 @@ class Face:
         x, y = (MISPLACED / texel * _field(TEXTURE, self.seed + k) for k in range(2))
         rows, columns = np.mgrid[0:TEXTURE, 0:TEXTURE].astype(np.float32)
         albedo = cv2.remap(self.head.surface.albedo, columns + x, rows + y, cv2.INTER_LINEAR)
-        known = np.round(255 * srgb_from_linear(np.clip(albedo, 0, 1))).astype(np.uint8)
+        known = encode_srgb(albedo)
         skin = fine_skin(t, known, open_)
         R, shift = self.camera.R, self.camera.t
         views = []
@@ -255,7 +255,7 @@ def norms(t: Template, people: int, frames: int, out: Path | None) -> None:
 def true_normals(face: Face, skin: Skin, one: Seen) -> tuple[np.ndarray, np.ndarray]:
     """(h, w, 3) in camera axes at a drawing's pixels, without still relief; (h, w) degrees by which wrinkles tilt."""
     calm = replace(skin, surface=build_mipmap(np.zeros((8, 8, 6), np.float32)))
-    pixels, depth = truth.skin_pixels(skin, face.camera)
+    pixels, depth = face.camera.project(skin.vertices)
     raster = rasterise(pixels, depth, skin.triangles, SIZE, near=40)
     both = [truth.relief_normals(s, raster, pixels, depth) for s in (calm, replace(calm, detail=None))]
     (w, h), (x, y) = one.drawn.size, one.drawn.corner.astype(int)

@@ -26,7 +26,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "templates" / "head")]
 import sketch  # noqa: E402
 from parts import eyeball_radius  # noqa: E402
 
-from avatarbuild.template import ARKIT_NAMES, Template, template_folder  # noqa: E402
+from avatarbuild.template import ARKIT_NAMES, EYE_PARTS, Template, template_folder  # noqa: E402
 from avatarbuild.template import expression_weights as weights  # noqa: E402
 
 HEADS, SEED = 100, 77
@@ -212,7 +212,7 @@ def visible_eye(template: Template, vertices: np.ndarray, centre: np.ndarray, wi
     """Pixels of either eyeball in a frontal picture `width` pixels over 110 mm."""
     view = sketch.View(size=(width, width // 2), height=55.0, centre=tuple(centre), distance=1200.0)
     seen, _, _ = sketch.look(vertices, template.triangles, view)
-    balls = [template.parts[name].triangles for name in ("eye_left", "eye_right")]
+    balls = [template.parts[name].triangles for name in EYE_PARTS]
     return int(sum(((seen.triangle >= b.start) & (seen.triangle < b.stop)).sum() for b in balls))
 
 

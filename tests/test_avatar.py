@@ -43,11 +43,10 @@ from avatarbuild.progress import Silent
 from avatarbuild.simulation.subject import random_subject
 from avatarbuild.stages import avatar
 from avatarbuild.stages.refinement import untouched
-from avatarbuild.template import ARKIT_NAMES
+from avatarbuild.template import ARKIT_NAMES, EYE_PARTS
 
 SCHEMA = json.loads((Path(__file__).parent.parent / "docs" / "schemas" / "avatar.schema.json").read_text())
 MORPHED = {"head": "skin", **{name: name for name in ("teeth_upper", "teeth_lower", "gums", "tongue")}}
-EYES = ("eye_left", "eye_right")
 SKIN = np.array([200, 150, 130], np.uint8)
 OPTIONS = AvatarOptions()
 
@@ -222,11 +221,11 @@ def test_asset_and_nodes() -> None:
     nodes = gltf.tree["nodes"]
     assert gltf.tree["scenes"][gltf.tree["scene"]]["nodes"] == [nodes.index(gltf.named("nodes", "head"))]
     children = {nodes[i]["name"] for i in gltf.named("nodes", "head")["children"]}
-    assert children == {*MORPHED, *EYES} - {"head"}
+    assert children == {*MORPHED, *EYE_PARTS} - {"head"}
     for node in nodes:
         assert gltf.tree["meshes"][node["mesh"]]["name"] == node["name"]
         assert not {"rotation", "scale", "matrix"} & set(node)
-        assert ("translation" in node) == (node["name"] in EYES)
+        assert ("translation" in node) == (node["name"] in EYE_PARTS)
 
 
 @pytest.mark.parametrize("mesh", MORPHED)
@@ -253,7 +252,7 @@ def test_axes_and_origin() -> None:
     gltf = glb()
     head = attribute(gltf, "head", "POSITION")
     assert 0.2 < np.ptp(head[:, 1]) < 0.45
-    left, right = (np.array(gltf.named("nodes", eye)["translation"]) for eye in EYES)
+    left, right = (np.array(gltf.named("nodes", eye)["translation"]) for eye in EYE_PARTS)
     np.testing.assert_allclose(left + right, 0, atol=1e-9)
     assert 0.025 < left[0] < 0.04
     template = synthetic.template()
@@ -277,7 +276,7 @@ def test_seams_join_copies_of_one_vertex(mesh: str) -> None:
     assert len(np.unique(corners)) == len(attribute(gltf, mesh, "POSITION"))
 
 
-@pytest.mark.parametrize("mesh", [*MORPHED, *EYES])
+@pytest.mark.parametrize("mesh", [*MORPHED, *EYE_PARTS])
 def test_normals_are_the_unsplit_mesh_s(mesh: str) -> None:
     found = attribute(glb(), mesh, "NORMAL")
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-6)
@@ -333,7 +332,7 @@ def test_eyes_turn_about_their_nodes() -> None:
     expected = template.pose(shapes.neutral, weights, shapes.eye_centres)
     look = gltf.tree["extras"]["eyeLook"]
     assert sorted(look) == sorted(name for name in ARKIT_NAMES if name.startswith("eyeLook"))
-    for eye in EYES:
+    for eye in EYE_PARTS:
         node = gltf.named("nodes", eye)
         turn = sum(
             (gaze.get(name, 0) * np.radians(about["degrees"]) * np.array(about["axis"]))
@@ -365,7 +364,7 @@ def test_gaze_goes_where_the_names_say() -> None:
 
 def test_both_eyes_wear_the_whole_eye_texture() -> None:
     gltf = glb()
-    left, right = (attribute(gltf, eye, "TEXCOORD_0") for eye in EYES)
+    left, right = (attribute(gltf, eye, "TEXCOORD_0") for eye in EYE_PARTS)
     np.testing.assert_allclose(left, right, atol=1e-6)
     np.testing.assert_allclose([left.min(axis=0), left.max(axis=0)], [[0, 0], [1, 1]], atol=1e-6)
     ball = attribute(gltf, "eye_left", "POSITION")
@@ -464,7 +463,7 @@ def test_every_mesh_with_shapes_plays_the_weights() -> None:
 
 def test_the_eyes_play_the_gaze_of_the_weights() -> None:
     gltf = read_glb(animated().files["avatar.glb"])
-    for side, eye in enumerate(EYES):
+    for side, eye in enumerate(EYE_PARTS):
         turned = Rotation.from_quat(channel(gltf, eye, "rotation")).as_matrix()
         expected = [synthetic.template().eye_rotation_matrices(w)[side] for w in played().weights]
         np.testing.assert_allclose(turned, expected, atol=1e-6)

@@ -21,7 +21,7 @@ from avatarbuild.progress import Silent
 from avatarbuild.solvers.held import solve_held
 from avatarbuild.solvers.sparse import Factor
 from avatarbuild.stages import blendshapes
-from avatarbuild.template import ARKIT_NAMES, Template
+from avatarbuild.template import ARKIT_NAMES, EYE_PARTS, Template
 from avatarbuild.template import expression_weights as weights
 from tests import synthetic
 
@@ -240,7 +240,7 @@ def eye_pixels(vertices: np.ndarray, centre: np.ndarray) -> int:
     """Pixels of an eyeball seen from the front, 8 a millimetre."""
     t = synthetic.template()
     seen = frontal(vertices, centre)
-    balls = [t.parts[name].triangles for name in ("eye_left", "eye_right")]
+    balls = [t.parts[name].triangles for name in EYE_PARTS]
     return sum(int(((seen >= ball.start) & (seen < ball.stop)).sum()) for ball in balls)
 
 

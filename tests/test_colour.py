@@ -17,6 +17,12 @@ def test_srgb_curve_by_hand_and_back():
     assert colour.linear_from_srgb(colour.srgb_from_linear(x)) == pytest.approx(x, abs=1e-7)
 
 
+def test_bytes_there_and_back():
+    levels = np.arange(256, dtype=np.uint8)
+    assert (colour.encode_srgb(colour.decode_srgb(levels)) == levels).all()
+    assert colour.encode_srgb(np.array([-0.1, 1.1])).tolist() == [0, 255]
+
+
 def test_primaries_give_the_published_matrices():
     # IEC 61966-2-1, four digits; the luminance row of BT.2020 is BT.2100's
     assert colour.xyz_from_rgb("BT.709")[1] == pytest.approx([0.2126, 0.7152, 0.0722], abs=5e-5)

@@ -14,7 +14,7 @@ import synthetic
 
 from avatarbuild.artefacts import Albedo, Blendshapes, Details, Performance, Refinement
 from avatarbuild.errors import InputError
-from avatarbuild.formats.colour import srgb_from_linear
+from avatarbuild.formats.colour import encode_srgb
 from avatarbuild.formats.details import read_details
 from avatarbuild.options import DetailsOptions, RefinementOptions
 from avatarbuild.progress import Silent
@@ -56,7 +56,7 @@ def albedo() -> Albedo:
     rows, columns = np.mgrid[0:512, 0:512] / 512.0
     place = np.stack([columns * 200, rows * 200, 0 * rows], axis=-1).reshape(-1, 3)
     speckles = 0.35 + 0.12 * fractal(place, 3.0, 2, 5).reshape(512, 512)
-    picture = np.round(255 * srgb_from_linear(np.clip(speckles, 0.05, 0.9))).astype(np.uint8)
+    picture = encode_srgb(np.clip(speckles, 0.05, 0.9))
     colour = np.repeat(picture[..., None], 3, axis=2)
     none = np.zeros((16, 16), np.uint8)
     level = np.full((16, 16, 3), (128, 128, 255), np.uint8)
@@ -80,7 +80,7 @@ def picture(i: int) -> np.ndarray:
         normal[..., 1] += 0.7 * high * np.sin(2 * np.pi * head[..., 1] / 14)
         normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
     grey = np.where(drawn.on, 0.55 * np.exp(drawn.tone) * LIGHT.shade(normal), 0.1)
-    return np.repeat(np.round(255 * srgb_from_linear(np.clip(grey, 0, 1)))[..., None], 3, axis=2).astype(np.uint8)
+    return np.repeat(encode_srgb(grey)[..., None], 3, axis=2)
 
 
 @cache

@@ -12,7 +12,7 @@ from avatarbuild.registration.lids import FAR, lid_bands, lid_fit, settle_lids
 from avatarbuild.sfm.metric import Placed
 from avatarbuild.simulation.photographs import look_at
 from avatarbuild.simulation.subject import random_subject
-from avatarbuild.template import Template
+from avatarbuild.template import EYE_PARTS, Template
 
 SIZE, FOCAL = (900, 1200), 1100.0
 
@@ -73,7 +73,7 @@ def test_profile_is_the_shipped_eyeballs(template):
     assert shape.radius == pytest.approx(12.0, abs=1e-3)
     assert shape.limbus_radius == pytest.approx(5.85, abs=0.01)
     assert shape.surface(np.array([0.0]), 6.0)[0] == pytest.approx(6.0, abs=1e-3)
-    for k, name in enumerate(("eye_left", "eye_right")):
+    for k, name in enumerate(EYE_PARTS):
         d = template.mean[template.parts[name].vertices] - template.eye_centres[k]
         r = np.linalg.norm(d, axis=1)
         np.testing.assert_allclose(shape.surface(d[:, 2] / r, 12.0), r, atol=0.005)
@@ -162,9 +162,11 @@ def test_balls_are_recovered(template, follow, radius):
 
 def test_balls_without_irises_come_from_lids_and_model(template):
     person = random_subject(template, np.random.default_rng(4))
-    photos = painted_photos(person.eye_centres, 12.0, eye_shape(template), follow=False)
+    shape = eye_shape(template)
+    photos = painted_photos(person.eye_centres, 12.0, shape, follow=False)
     blind = Photos(photos.placed, photos.landmarks, np.zeros(7, bool), photos.yaw, photos.sharpness, photos.picture)
     found = eyeballs(blind, noisy(template, person.neutral, 0.25, 1), template, person.identity)
-    assert found.count == 0
-    assert np.isnan(found.irises).all()
+    seen = iris_sightings(blind, np.array([0.0, 0.0, 1.0]), shape.limbus_radius)
+    assert not len(seen.eye)
+    assert np.isnan(seen.points).all()
     assert np.linalg.norm(found.centres - person.eye_centres, axis=1).max() < 1.0

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from captures import benchmark_photo
 
-from avatarbuild.focus import blur_radius, linear, measure
+from avatarbuild.focus import blur_radius, measure
 from avatarbuild.landmarks import find_faces
 
 
@@ -61,11 +61,6 @@ def test_colours_by_hand() -> None:
     assert m.white_balance[0] == pytest.approx(0.0)
     assert m.white_balance[1] == pytest.approx(np.log((3 * low + 1) / (3 * high + 1)))
     assert np.isnan(m.side_light)
-
-
-def test_decoding_is_srgb() -> None:
-    assert linear(np.array([0, 255], np.uint8)).tolist() == [0.0, 1.0]
-    assert linear(np.array([188], np.uint8))[0] == pytest.approx(0.5029, abs=1e-3)
 
 
 def test_a_face_lit_from_one_side_and_its_mirror_image() -> None:

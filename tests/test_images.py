@@ -39,11 +39,11 @@ def awkward(tmp_path):
 def test_all_orientations_stand_upright(awkward, suffix, orientation):
     stored = media.stored_quadrants(orientation)
     path = media.photo(Path(f"{awkward}.{suffix}"), stored, media.exif_block(orientation, f35=26))
-    photo, facts = images.read_photo(path), images.photo_facts(path)
+    photo = images.read_photo(path)
     _close(photo.rgb, media.quadrants())
-    assert facts.size == photo.original_size == (96, 64)
+    assert photo.facts.size == (96, 64)
     assert photo.focal == pytest.approx(26 / 43.2666 * math.hypot(96, 64), rel=1e-4)
-    assert photo.mirrored is (True if orientation in (2, 4, 5, 7) else None)
+    assert photo.facts.mirrored is (True if orientation in (2, 4, 5, 7) else None)
 
 
 @pytest.mark.parametrize("how", ["irot", "exif", "both"])
@@ -52,10 +52,10 @@ def test_heic_is_turned_once_whoever_says_so(awkward, how, orientation):
     path = media.heic(Path(f"{awkward}.heic"), media.stored_quadrants(orientation), orientation, how, f35=26.0)
     turned = how != "exif" and orientation != 1
     assert heif.turns_itself(path.read_bytes()) == turned
-    _close(images.read_photo(path).rgb, media.quadrants(), 4.0)
-    facts = images.photo_facts(path)
-    assert facts.size == (96, 64)
-    assert facts.focal == pytest.approx(26 / 43.2666 * math.hypot(96, 64), rel=1e-4)
+    photo = images.read_photo(path)
+    _close(photo.rgb, media.quadrants(), 4.0)
+    assert photo.facts.size == (96, 64)
+    assert photo.facts.focal == pytest.approx(26 / 43.2666 * math.hypot(96, 64), rel=1e-4)
 
 
 def test_turns_itself_survives_nonsense():
@@ -79,28 +79,27 @@ def test_focal_from_sensor_resolution(tmp_path):
     block = media.exif_block(f35=None, focal=4.2, plane=(714.2857, 4), written=(4000, 3000))
     photo = images.read_photo(media.photo(tmp_path / "a.jpg", media.texture(400, 300), block))
     assert photo.focal == pytest.approx(300.0, rel=1e-4)
-    assert photo.focal_source == "EXIF focal length and sensor resolution"
+    assert photo.facts.focal_source == "EXIF focal length and sensor resolution"
     bare = images.read_photo(media.photo(tmp_path / "b.jpg", media.texture(400, 300)))
     assert math.isnan(bare.focal)
-    assert (bare.focal_source, bare.camera) == ("", "")
-    assert math.isnan(bare.time)
+    assert (bare.facts.focal_source, bare.facts.camera) == ("", "")
+    assert math.isnan(bare.facts.time)
 
 
 def test_time_camera_and_lens(tmp_path):
     block = media.exif_block(1, 26, "2025:03:16 15:09:26", "743", "Apple", "iPhone 12", "iPhone 12 back camera")
-    facts = images.photo_facts(media.photo(tmp_path / "a.jpg", media.texture(40, 30), block))
+    facts = images.read_photo(media.photo(tmp_path / "a.jpg", media.texture(40, 30), block)).facts
     assert facts.time == pytest.approx(1742137766.743)
     assert facts.camera == "Apple iPhone 12, iPhone 12 back camera"
     unset = media.exif_block(taken="0000:00:00 00:00:00")
-    assert math.isnan(images.photo_facts(media.photo(tmp_path / "b.jpg", media.texture(40, 30), unset)).time)
+    assert math.isnan(images.read_photo(media.photo(tmp_path / "b.jpg", media.texture(40, 30), unset)).facts.time)
 
 
 def test_one_lens_is_one_camera_however_the_phone_was_held(tmp_path):
     def lens(name, orientation, **tags):
         stored = media.stored_quadrants(orientation)
-        return images.photo_facts(
-            media.photo(tmp_path / f"{name}.jpg", stored, media.exif_block(orientation, **tags))
-        ).lens
+        path = media.photo(tmp_path / f"{name}.jpg", stored, media.exif_block(orientation, **tags))
+        return images.read_photo(path).facts.lens
 
     assert lens("a", 1, f35=26) == lens("b", 6, f35=26) == lens("c", 8, f35=26)
     assert lens("a", 1, f35=26) != lens("d", 1, f35=52), "a zoom"
@@ -115,8 +114,8 @@ def test_serial_number_and_position_reach_nothing(tmp_path):
         media.heic(tmp_path / "a.heic", media.texture(96, 64), 6, f35=26.0, position=True),
     ):
         assert b"SERIAL-77" in path.read_bytes()
-        photo, facts = images.read_photo(path), images.photo_facts(path)
-        told = repr(facts) + repr([getattr(photo, name) for name in photo.__dataclass_fields__ if name != "rgb"])
+        photo = images.read_photo(path)
+        told = repr(photo.facts)
         assert "SERIAL" not in told
         assert not any(f"{v:g}" in told for v in (37.5, 30.25))
         kept = images.encode_jpeg(photo.rgb, 90)
@@ -134,7 +133,7 @@ def test_display_p3_becomes_srgb(tmp_path):
     icc = media.profile("Display P3", "Display P3")
     paths = [media.photo(tmp_path / f"a.{s}", rgb, icc=icc) for s in ("jpg", "png", "tif")]
     for path in [*paths, media.heic(tmp_path / "a.heic", rgb, icc=icc)]:
-        assert images.photo_facts(path).colour == "Display P3"
+        assert images.read_photo(path).facts.colour == "Display P3"
         assert np.abs(images.read_photo(path).rgb.reshape(-1, 3).mean(axis=0) - srgb).max() <= 2
 
 
@@ -148,7 +147,7 @@ def test_a_profile_that_does_not_fit_is_left_aside(tmp_path, caplog):
 def test_hdr_heic(tmp_path, curve):
     signal = {"HLG": 0.5, "PQ": 0.508078}[curve]
     path = media.heic_signal(tmp_path / "a.heic", np.full((64, 96, 3), signal), curve)
-    assert images.photo_facts(path).colour == curve
+    assert images.read_photo(path).facts.colour == curve
     assert np.abs(images.read_photo(path).rgb.astype(int) - {"HLG": 137, "PQ": 186}[curve]).max() <= 2
 
 
@@ -192,7 +191,7 @@ def test_scaled_down_while_read(tmp_path, suffix):
         media.photo(path, rgb, media.exif_block(**block))
     whole, small = images.read_photo(path), images.read_photo(path, 9_600)
     assert small.rgb.shape == (84, 113, 3)
-    assert small.original_size == whole.original_size == (480, 360)
+    assert small.facts.size == whole.facts.size == (480, 360)
     assert small.focal == pytest.approx(whole.focal * 113 / 480)
     expected = cv2.resize(whole.rgb, (113, 84), interpolation=cv2.INTER_AREA)
     assert np.abs(small.rgb.astype(int) - expected).mean() < 2.0
@@ -218,10 +217,10 @@ def test_strips_tiles_and_rest_rows_join(tmp_path):
 @pytest.mark.skipif(sys.platform == "win32", reason="counts memory by getrusage")
 def test_a_hundred_megapixels(tmp_path):
     path = media.huge_png(tmp_path / "huge.png")
-    assert images.photo_facts(path).size == (10_000, 10_000)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     photo = images.read_photo(path, 16e6)
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert photo.facts.size == (10_000, 10_000)
     assert photo.rgb.shape == (4000, 4000, 3)
     assert tuple(photo.rgb[2000, 2000]) == (150, 110, 90)
     assert grown < 400 * 1024, "kB: well under two whole pictures"
@@ -253,7 +252,7 @@ def test_what_cannot_be_opened(tmp_path, monkeypatch):
         images.read_photo(tmp_path / "folder.jpg")
     monkeypatch.setattr(Path, "read_bytes", refuse)
     with pytest.raises(InputError, match="Permission denied"):
-        images.photo_facts(path)
+        images.read_photo(path)
 
 
 def test_a_jpeg_followed_by_more_is_whole(tmp_path):
@@ -292,5 +291,5 @@ def test_focal_of_the_benchmark_capture():
     if not root:
         pytest.skip("AVATARBUILD_BENCHMARK names no folder")
     true = json.loads((Path(root) / "truth_b/cameras.json").read_text())["photos"]
-    found = images.photo_facts(Path(root) / "capture_b/photos/IMG_0001.JPG")
+    found = images.read_photo(Path(root) / "capture_b/photos/IMG_0001.JPG").facts
     assert found.focal == pytest.approx(true[0]["K"][0][0], rel=2e-3)

@@ -6,7 +6,7 @@ import pytest
 
 from avatarbuild.registration.inner_parts import FEATURES, inner_parts, stretch_between
 from avatarbuild.simulation.subject import random_subject
-from avatarbuild.template import MOUTH_PARTS, Template
+from avatarbuild.template import EYE_PARTS, MOUTH_PARTS, Template
 
 RADIUS = np.full(2, 12.0)
 
@@ -50,7 +50,7 @@ def test_a_stretched_template_gets_stretched_parts(template):
 def test_eyeballs_stand_where_they_were_found(template):
     centres, radius = template.eye_centres + [[0.5, 1, -2]], np.array([11.0, 13.0])
     found = inner_parts(template, None, template.mean, centres, radius).vertices
-    for k, name in enumerate(("eye_left", "eye_right")):
+    for k, name in enumerate(EYE_PARTS):
         ball = template.parts[name].vertices
         own = (found[ball] - centres[k]) / radius[k]
         np.testing.assert_allclose(own, (template.mean[ball] - template.eye_centres[k]) / 12, atol=1e-5)

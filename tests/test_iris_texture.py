@@ -5,8 +5,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from avatarbuild.formats.avatar_glb import part_uv
-from avatarbuild.formats.colour import linear_from_srgb, srgb_from_linear
+from avatarbuild.formats.colour import decode_srgb, encode_srgb
 from avatarbuild.registration.eye_painting import WHITE, eye_map, paint_eye
 from avatarbuild.registration.eye_shape import eye_shape
 from avatarbuild.registration.eyes import Eyeballs
@@ -29,7 +28,7 @@ def template() -> Template:
 @pytest.fixture(scope="module")
 def balls(template) -> Eyeballs:
     gaze = np.tile([0.0, 0.0, 1.0], (2, 1))
-    return Eyeballs(template.eye_centres, np.full(2, 12.0), gaze, 0.0, np.full((2, 3), np.nan), 5.85, 0)
+    return Eyeballs(template.eye_centres, np.full(2, 12.0), gaze, 0.0)
 
 
 def photos_of(
@@ -72,7 +71,7 @@ def photos_of(
             fill(inner, middle + [2.5, 2.0, 0] + 0.8 * ring, np.full(3, 0.9))
             picture[opening] = inner[opening]
         picture = cv2.GaussianBlur(picture, (0, 0), 1.0) + rng.normal(0, 0.003, picture.shape)
-        pictures.append(np.round(255 * srgb_from_linear(np.clip(picture, 0, 1))).astype(np.uint8))
+        pictures.append(encode_srgb(picture))
     count = len(yaws)
     placed = Placed(np.arange(count), [camera] * count, np.array(rotation), np.array(translation))
     marks = np.full((count, 478, 3), np.nan)
@@ -123,7 +122,7 @@ def test_map_of_the_eyes_own_chart(template):
     size = 512
     offset = eye_map(template, size)
     part = template.parts["eye_left"]
-    uv = part_uv(template, "eye_left")
+    uv = template.part_uv("eye_left")
     corners, chart = template.triangles[part.triangles], template.uv_triangles[part.triangles]
     middle = template.mean[corners].mean(axis=1) - template.eye_centres[0]
     texel = np.floor(uv[chart].mean(axis=1) * [size, -size] + [0, size]).astype(int)
@@ -162,7 +161,7 @@ def test_shut_eyes_give_a_usual_eye(template, balls):
     assert made.patches == []
     shape = eye_shape(template)
     plain = paint_eye(eye_map(template, 256), shape).colour()
-    np.testing.assert_allclose(linear_from_srgb(made.texture / 255), np.clip(plain, 0, 1), atol=0.02)
+    np.testing.assert_allclose(decode_srgb(made.texture), np.clip(plain, 0, 1), atol=0.02)
 
 
 def test_pupil_stays_black_and_white_stays_white(template, balls):

@@ -194,7 +194,7 @@ def test_footage_that_does_not_serve(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_the_lens_of_the_tracked_clip_is_the_prior() -> None:
-    source = SimpleNamespace(size=(540, 960), focal=np.nan)
+    source = SimpleNamespace(size=(540, 960))
     learnt = SimpleNamespace(video="a.mp4", size=(1080, 1920), focal=1500.0)
     capture = SimpleNamespace(photos=project()["capture"].photos)
     assert new_footage.focal(source, capture, learnt) == pytest.approx(750.0)

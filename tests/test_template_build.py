@@ -7,7 +7,7 @@ import igl
 import numpy as np
 import pytest
 
-from avatarbuild.template import ARKIT_NAMES, PART_NAMES, Template, template_folder
+from avatarbuild.template import ARKIT_NAMES, EYE_PARTS, PART_NAMES, Template, template_folder
 from avatarbuild.template import expression_weights as weights
 
 FOLDER = Path(__file__).resolve().parents[1] / "templates" / "head"
@@ -85,7 +85,7 @@ def test_scaled_to_people_it_is_the_same_linear_head(head, builder):
 def test_frame_is_about_the_eyeballs(head):
     np.testing.assert_allclose(head.eye_centres.mean(axis=0), 0, atol=1e-4)
     assert head.eye_centres[0, 0] > 25
-    for name, centre in zip(("eye_left", "eye_right"), head.eye_centres, strict=True):
+    for name, centre in zip(EYE_PARTS, head.eye_centres, strict=True):
         ball = head.mean[head.parts[name].vertices] - centre
         radius = np.linalg.norm(ball, axis=1)
         back = ball[:, 2] < 0
@@ -107,7 +107,7 @@ def test_mirror_images(head):
 def test_eyeballs_are_rigid_and_follow_their_centres(head):
     for a in heads(head, 3):
         vertices, centres = head.neutral(a), head.eye_positions(a)
-        for name, centre, rest in zip(("eye_left", "eye_right"), centres, head.eye_centres, strict=True):
+        for name, centre, rest in zip(EYE_PARTS, centres, head.eye_centres, strict=True):
             rows = head.parts[name].vertices
             np.testing.assert_allclose(vertices[rows] - centre, head.mean[rows] - rest, atol=0.06)
     assert (np.abs(head.expressions[:, head.parts["eye_left"].vertices]) < 1e-9).all()

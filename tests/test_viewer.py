@@ -30,7 +30,7 @@ from avatarbuild.geometry.raster import interpolate
 from avatarbuild.geometry.tangents import vertex_tangents
 from avatarbuild.project import Project
 from avatarbuild.report.rendering import View, look
-from avatarbuild.template import expression_weights
+from avatarbuild.template import EYE_PARTS, expression_weights
 from avatarbuild.viewer import live, scene, server, start
 from avatarbuild.viewer.view import export
 from tests import devtools
@@ -521,7 +521,7 @@ def _python_normals(project: Project, named: dict[str, float]) -> tuple[np.ndarr
     rig = _rig(project)
     w = template.allowed(expression_weights(**named))
     posed = rig.neutral + np.einsum("e,enc->nc", w, rig.deltas.astype(float))
-    for name, centre, turn in zip(("eye_left", "eye_right"), rig.eye_centres, template.eye_rotation_matrices(w)):
+    for name, centre, turn in zip(EYE_PARTS, rig.eye_centres, template.eye_rotation_matrices(w)):
         ball = template.parts[name].vertices
         posed[ball] = (posed[ball] - centre) @ turn.T + centre
     seen = look(posed, template.triangles, VIEW, 1, cull=True)

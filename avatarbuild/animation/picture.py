@@ -6,26 +6,24 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import scipy.sparse as sp
 
 from avatarbuild.animation.skin_light import bent, shaded_hollows, shading
 from avatarbuild.artefacts import Albedo, Blendshapes
 from avatarbuild.details.synthesis import Synthesis
+from avatarbuild.formats.colour import decode_srgb
 from avatarbuild.geometry.meshes import vertex_normals, vertex_of_uv
 from avatarbuild.geometry.mipmap import Mipmap, build_mipmap, sample_texture
 from avatarbuild.geometry.raster import interpolate
 from avatarbuild.geometry.tangents import vertex_tangents
-from avatarbuild.report.heads import plain
+from avatarbuild.report.heads import plain, posed
 from avatarbuild.report.rendering import View, finish, look
-from avatarbuild.report.shading import Light, decode_srgb, lit, occlusion
-from avatarbuild.template import Refined, Template
+from avatarbuild.report.shading import Light, lit, occlusion
+from avatarbuild.template import PIVOT, Refined, Template
 from avatarbuild.texture.photos import shrunk
 
-PIVOT = np.array([0.0, -95.0, -55.0])  # mm: about where a head turns on its neck
 _TEXTURE = 2048  # texels: finer ones no frame shows
 _BRIGHT = 0.78  # of the light that a face turned to the camera gets
 _SHINE = Light(lamp=0.0, above=0.0, below=0.0, gloss=0.8)
-_PARTS = ("skin",)
 
 
 @dataclass(frozen=True)
@@ -44,19 +42,6 @@ class Model:
     skin: np.ndarray
     skin_colour: np.ndarray
     details: Synthesis | None
-
-    def posed(self, weights: np.ndarray) -> np.ndarray:
-        """(n, 3) mm at weights (52,), eyeballs turned."""
-        t, w = self.template, self.template.allowed(weights)
-        x = np.asarray(self.rig.neutral, np.float64).copy()
-        for j in np.flatnonzero(w):
-            x += w[j] * self.rig.deltas[j]
-        turns = t.eye_rotation_matrices(w)
-        for name, centre, turn in zip(("eye_left", "eye_right"), self.rig.eye_centres, turns, strict=True):
-            if name in t.parts:
-                ball = t.parts[name].vertices
-                x[ball] = (x[ball] - centre) @ turn.T + centre
-        return x
 
 
 def model(template: Template, rig: Blendshapes, albedo: Albedo, details: Synthesis | None) -> Model:
@@ -89,10 +74,9 @@ def frame(
     (h, w, 3) uint8 sRGB of weights (52,), the head turned by a rotation (3, 3), under harmonics (9, 3) in the axes of
     the head at rest, or under a lamp.
     """
-    posed = model.posed(weights)
-    refined: Refined = model.refined
-    matrix: sp.csr_matrix = refined.matrix
-    vertices = (matrix @ posed - PIVOT) @ turn.T + PIVOT
+    coarse = posed(model.template, model.rig, model.template.allowed(weights))
+    refined = model.refined
+    vertices = (refined.matrix @ coarse - PIVOT) @ turn.T + PIVOT
     seen = look(vertices, refined.triangles, view, factor, cull=True)
     triangle, barycentric = seen.raster.triangle, seen.raster.barycentric
     normals = vertex_normals(vertices, refined.triangles)
@@ -104,7 +88,7 @@ def frame(
     still = sample_texture(model.still, *where)
     slopes, dark = still[..., 3:5].copy(), still[..., 5].copy()
     if model.details is not None:
-        moving = sample_texture(build_mipmap(_moving(model.details, posed)), *where)
+        moving = sample_texture(build_mipmap(_moving(model.details, coarse)), *where)
         on = model.skin[triangle] & (triangle >= 0)
         slopes[on] += moving[on, :2]
         dark[on] *= moving[on, 2]

@@ -16,14 +16,13 @@ from avatarbuild import __version__
 from avatarbuild.formats.gltf import Writer
 from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.geometry.tangents import vertex_tangents
-from avatarbuild.template import COMBINATION_LIMITS, Template
+from avatarbuild.template import COMBINATION_LIMITS, EYE_PARTS, Template
 
 if TYPE_CHECKING:
     from avatarbuild.artefacts import Performance
 
 METRES = 1e-3  # a millimetre
 NODES = {"skin": "head"}  # the template's name of a part -> the node's and mesh's, where they differ
-EYES = ("eye_left", "eye_right")
 
 
 @dataclass(frozen=True)
@@ -114,13 +113,6 @@ def split_at_seams(triangles: np.ndarray, uv_triangles: np.ndarray, uv: np.ndarr
     return SplitPart(sources, coordinates, place[corner.reshape(-1)].reshape(-1, 3))
 
 
-def part_uv(template: Template, part: str) -> np.ndarray:
-    """(u, 2) the template's texture coordinates, the part's own box stretched over the whole square."""
-    used = template.uv[np.unique(template.uv_triangles[template.parts[part].triangles])]
-    low, high = used.min(axis=0), used.max(axis=0)
-    return np.clip((template.uv - low) / np.maximum(high - low, 1e-12), 0, 1)
-
-
 def write(
     template: Template,
     rig: Rig,
@@ -138,9 +130,9 @@ def write(
     left_out = 0.0
     for part, where in template.parts.items():
         name = NODES.get(part, part)
-        eye = EYES.index(part) if part in EYES else None
+        eye = EYE_PARTS.index(part) if part in EYE_PARTS else None
         centre = np.zeros(3) if eye is None else rig.eye_centres[eye]
-        uv = template.uv if eye is None else part_uv(template, part)
+        uv = template.uv if eye is None else template.part_uv(part)
         v = where.vertices
         split = split_at_seams(
             template.triangles[where.triangles] - v.start,
@@ -188,7 +180,7 @@ def write(
     writer.tree["scenes"] = [{"name": "avatar", "nodes": roots}]
     writer.tree["scene"] = 0
     writer.tree["extras"] = {
-        "eyeLook": {name: about for eye in EYES for name, about in eye_look(template, eye).items()},
+        "eyeLook": {name: about for eye in EYE_PARTS for name, about in eye_look(template, eye).items()},
         "weightLimits": [{"shape": shape, "atMost": limit} for shape, limit in COMBINATION_LIMITS],
         **extras,
     }
@@ -267,14 +259,14 @@ def _materials(writer: Writer, template: Template, pictures: Pictures) -> dict[s
             material: dict[str, Any] = {
                 "name": look.name,
                 "pbrMetallicRoughness": {
-                    "baseColorTexture": {"index": eye if part in EYES else albedo},
+                    "baseColorTexture": {"index": eye if part in EYE_PARTS else albedo},
                     "metallicFactor": 0.0,
                     "roughnessFactor": look.roughness,
                 },
             }
             if part == "skin":
                 material["normalTexture"] = {"index": writer.texture(pictures.normal, "normal")}
-            if part not in EYES:
+            if part not in EYE_PARTS:
                 material["occlusionTexture"] = {"index": occlusion}
             of_look[look.name] = writer.add("materials", material)
         made[part] = of_look[look.name]

@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import numba
 import numpy as np
+from numpy.typing import ArrayLike
 from PIL import Image, ImageCms
 
 # chromaticities of red, green, blue; white is D65 everywhere
@@ -30,9 +31,9 @@ _KNEE = 0.8  # SDR light from which highlights are compressed
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
 
 
-def linear_from_srgb(v: np.ndarray) -> np.ndarray:
+def linear_from_srgb(signal: ArrayLike) -> np.ndarray:
     """IEC 61966-2-1: signal in 0..1 to linear light in 0..1, float, any shape."""
-    v = np.asarray(v, np.float64)
+    v = np.asarray(signal, np.float64)
     return np.where(v <= 0.04045, v / 12.92, ((np.maximum(v, 0.04045) + 0.055) / 1.055) ** 2.4)
 
 
@@ -40,6 +41,19 @@ def srgb_from_linear(x: np.ndarray) -> np.ndarray:
     """The inverse of `linear_from_srgb`."""
     x = np.asarray(x, np.float64)
     return np.where(x <= 0.0031308, x * 12.92, 1.055 * np.maximum(x, 0.0031308) ** (1 / 2.4) - 0.055)
+
+
+_LINEAR = linear_from_srgb(np.arange(256) / 255.0)
+
+
+def decode_srgb(rgb: np.ndarray) -> np.ndarray:
+    """Linear light in 0..1, float64, of uint8 sRGB, any shape."""
+    return _LINEAR[rgb]
+
+
+def encode_srgb(linear: np.ndarray) -> np.ndarray:
+    """uint8 sRGB of linear light, clipped to 0..1, any shape."""
+    return np.round(255 * srgb_from_linear(np.clip(linear, 0, 1))).astype(np.uint8)
 
 
 def scene_from_hlg(v: np.ndarray) -> np.ndarray:
@@ -107,7 +121,7 @@ def _srgb_table() -> np.ndarray:
 
 def srgb_from_primaries(rgb: np.ndarray, primaries: str) -> np.ndarray:
     """(h, w, 3) uint8 of sRGB's curve but other primaries, as sRGB; colours outside are clipped."""
-    table = linear_from_srgb(np.arange(256) / 255.0).astype(np.float32)
+    table = _LINEAR.astype(np.float32)
     matrix = gamut_matrix(primaries).astype(np.float32)
     return _recode(np.ascontiguousarray(rgb), table, matrix, _srgb_table(), np.float32(0.0), np.float32(0.0))
 

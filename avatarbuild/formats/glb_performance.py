@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from avatarbuild.artefacts import Performance
 from avatarbuild.formats.gltf import Writer
 from avatarbuild.formats.track import poses
-from avatarbuild.template import Template
+from avatarbuild.template import EYE_PARTS, Template
 
 CAMERA, ANIMATION = "video_camera", "performance"
 _GOOD = 0.5  # quality from which a frame is good
@@ -54,7 +54,7 @@ def add(writer: Writer, template: Template, performance: Performance, nodes: dic
         if "targets" in mesh["primitives"][0]:
             keyed(shapes, index, "weights")
     turns = np.stack([template.eye_rotation_matrices(w) for w in performance.weights])
-    for side, eye in enumerate(("eye_left", "eye_right")):
+    for side, eye in enumerate(EYE_PARTS):
         if eye in nodes:
             keyed(sampled(quaternions(turns[:, side])), nodes[eye], "rotation")
     keyed(sampled(heads[:, :3, 3]), nodes["skin"], "translation")

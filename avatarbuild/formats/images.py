@@ -64,31 +64,16 @@ class PhotoFacts:
 
 @dataclass(frozen=True)
 class Photo:
-    """
-    An upright photo. `focal` belongs to `rgb`, which may be smaller than `original_size`; the rest as in PhotoFacts.
-
-    rgb (h, w, 3) uint8 sRGB
-    """
+    """An upright photo: rgb (h, w, 3) uint8 sRGB, which may be smaller than `facts` say, and its own focal, pixels."""
 
     rgb: np.ndarray
     focal: float
-    focal_source: str
-    time: float
-    camera: str
-    lens: str
-    mirrored: bool | None
-    original_size: tuple[int, int]
+    facts: PhotoFacts
 
 
 def is_photo(path: Path) -> bool:
     """Whether the name is a photo's; hidden files are none."""
     return path.suffix.lower() in PHOTO_SUFFIXES and not path.name.startswith(".")
-
-
-def photo_facts(path: Path) -> PhotoFacts:
-    """Reads the header alone. Raises InputError as `read_photo` does for files that are no pictures."""
-    with _opened(path) as (image, turn):
-        return _facts(image, turn)
 
 
 def read_photo(path: Path, max_pixels: float = math.inf) -> Photo:
@@ -107,10 +92,7 @@ def read_photo(path: Path, max_pixels: float = math.inf) -> Photo:
             log.debug("%s: %s", path.name, e)
             raise InputError(f"{path}: damaged, cannot be read to its end; copy it again or remove it") from e
     rgb = upright(rgb, turn)
-    scale = rgb.shape[1] / facts.size[0]
-    return Photo(
-        rgb, facts.focal * scale, facts.focal_source, facts.time, facts.camera, facts.lens, facts.mirrored, facts.size
-    )
+    return Photo(rgb, facts.focal * (rgb.shape[1] / facts.size[0]), facts)
 
 
 def decode_jpeg(data: bytes) -> np.ndarray:

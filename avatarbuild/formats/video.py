@@ -54,7 +54,6 @@ class VideoFile:
               None: nothing is said
     hdr       '', 'HLG' or 'PQ'
     time      s from 1970-01-01 00:00 of the camera's own clock, or UTC where that is not told; NaN if unknown
-    focal     pixels; NaN: video headers do not tell
     """
 
     path: Path
@@ -68,7 +67,6 @@ class VideoFile:
     mirrored: bool | None
     hdr: str
     time: float
-    focal: float
 
 
 @dataclass(frozen=True)
@@ -115,7 +113,6 @@ def open_video(path: Path) -> VideoFile:
             mirrored=True if turn[1] else None,
             hdr=colour.HDR_CURVES.get(int(first.color_trc or 0), ""),
             time=_taken(container.metadata),
-            focal=math.nan,
         )
 
 

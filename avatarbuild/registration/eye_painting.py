@@ -10,6 +10,7 @@ import numpy as np
 from avatarbuild.geometry.raster import interpolate, rasterise
 from avatarbuild.registration.eye_shape import EyeShape
 from avatarbuild.template import Template
+from avatarbuild.texture.chart import continued
 
 PUPIL = 1.9  # mm, indoors
 WHITE = np.array([0.60, 0.545, 0.505])  # linear: a healthy adult's sclera, faintly warm
@@ -47,20 +48,13 @@ def eye_map(template: Template, size: int) -> np.ndarray:
     """
     part = template.parts["eye_left"]
     faces = template.uv_triangles[part.triangles]
-    used = template.uv[np.unique(faces)]
-    low, high = used.min(axis=0), used.max(axis=0)
-    uv = np.clip((template.uv - low) / np.maximum(high - low, 1e-12), 0, 1)
+    uv = template.part_uv("eye_left")
     pixels = uv * [size, -size] + [0, size]
     raster = rasterise(pixels, np.ones(len(uv)), np.ascontiguousarray(faces, np.int32), (size, size))
     offset = template.mean - template.eye_centres[0]
     corners = template.triangles[part.triangles]
     found = interpolate(offset, corners, raster.triangle, raster.barycentric)
-    outside = (raster.triangle < 0).astype(np.uint8)
-    _, label = cv2.distanceTransformWithLabels(outside, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    source = np.zeros(int(label.max()) + 1, np.int64)
-    inside = np.flatnonzero(outside.ravel() == 0)
-    source[label.ravel()[inside]] = inside
-    return found.reshape(-1, 3)[source[label]].astype(np.float64)
+    return continued(found, raster.triangle >= 0).astype(np.float64)
 
 
 def paint_eye(offset: np.ndarray, shape: EyeShape, iris: np.ndarray = HAZEL, seed: int = _SEED) -> EyePainting:

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from avatarbuild.template import Template
+from avatarbuild.template import EYE_PARTS, Template
 
-EYES = ("eye_left", "eye_right")
 _RIMS = ((474, 475, 476, 477), (469, 470, 471, 472))  # landmarks on the limbus, left and right eye
 _GRAIN = 0.5  # degrees: vertices at the same angle from the gaze within so much are one sample of the profile
 
@@ -34,10 +33,10 @@ class EyeShape:
 
 def eye_shape(template: Template) -> EyeShape | None:
     """The mean of both eyeballs' profiles, the gaze along +z; None where the template has no eyeballs."""
-    if not all(name in template.parts for name in EYES):
+    if not all(name in template.parts for name in EYE_PARTS):
         return None
     offset = np.concatenate(
-        [template.mean[template.parts[name].vertices] - template.eye_centres[k] for k, name in enumerate(EYES)]
+        [template.mean[template.parts[name].vertices] - template.eye_centres[k] for k, name in enumerate(EYE_PARTS)]
     )
     distance = np.linalg.norm(offset, axis=1)
     angle = np.arccos(np.clip(offset[:, 2] / distance, -1, 1))

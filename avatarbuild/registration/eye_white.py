@@ -44,7 +44,7 @@ def eye_whites(views: Views, placed: Placed, neutral: Neutral, template: Templat
     turn, shift = to_cloud[:3, :3], to_cloud[:3, 3]
     centres, skin = (x @ turn.T + shift for x in (neutral.eye_centres, neutral.vertices))
     ahead = np.tile(turn[:, 2], (2, 1))
-    eyes = Eyeballs(centres, neutral.eye_radius, ahead, 0.0, np.full((2, 3), np.nan), np.nan, 0)
+    eyes = Eyeballs(centres, neutral.eye_radius, ahead, 0.0)
     found = []
     for p in frontal_photos(photos, eyes)[:_PHOTOS]:
         for eye in range(2):

@@ -26,17 +26,13 @@ _AROUND = 35.0  # mm about an eye: the skin that carries the model's eye along
 class Eyeballs:
     """
     In the cloud's frame: centres (2, 3) of the left and right eye, radius (2,) mm; gaze (2, 3) unit where they look at
-    rest; follow in [0, 1]: 0 where they look ahead in all photos, 1 where they follow the camera; irises (2, 3) mm the
-    irises' triangulated middles, NaN where unseen; iris_radius mm, NaN where unseen; count photos' rims.
+    rest; follow in [0, 1]: 0 where they look ahead in all photos, 1 where they follow the camera.
     """
 
     centres: np.ndarray
     radius: np.ndarray
     gaze: np.ndarray
     follow: float
-    irises: np.ndarray
-    iris_radius: float
-    count: int
 
     def gaze_to(self, eye: int, camera: np.ndarray) -> np.ndarray:
         """(3,) unit: where an eye looks in a photo taken from `camera` (3,)."""
@@ -81,8 +77,7 @@ def eyeballs(
             best = found
     assert best is not None
     centres, radius, gaze, follow = at.parts(best.x)
-    size = float(np.median(seen.radius)) if len(seen.radius) else np.nan
-    return Eyeballs(centres, np.full(2, radius), gaze, follow, seen.points, size, len(seen.eye))
+    return Eyeballs(centres, np.full(2, radius), gaze, follow)
 
 
 class _Problem:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import igl
 import numpy as np
 
-from avatarbuild.registration.eye_shape import EYES, eye_shape
-from avatarbuild.template import MOUTH_PARTS, Template
+from avatarbuild.registration.eye_shape import eye_shape
+from avatarbuild.template import EYE_PARTS, MOUTH_PARTS, Template
 
 # landmark -> weight: what a mouth's inside is fitted to. Lips' corners, inner and outer rims, base of the nose, chin;
 # cheeks, jaw and the skin before the ears, which alone tell how deep a head is
@@ -93,7 +93,7 @@ def inner_parts(
     vertices[:count] = skin[:count]
     shape, turn = eye_shape(template), np.eye(3) if turn is None else turn
     if shape is not None:
-        for k, name in enumerate(EYES):
+        for k, name in enumerate(EYE_PARTS):
             ball = template.parts[name].vertices
             own = (template.mean[ball] - template.eye_centres[k]) * (radius[k] / shape.radius)
             vertices[ball] = own @ turn.T + centres[k]

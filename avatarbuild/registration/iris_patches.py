@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from avatarbuild.formats.colour import linear_from_srgb
+from avatarbuild.formats.colour import decode_srgb
 from avatarbuild.geometry.iris import iris_circle
 from avatarbuild.registration.eye_shape import EyeShape
 from avatarbuild.registration.eyes import Eyeballs
@@ -83,7 +83,7 @@ def iris_patch(
     if circle is None:
         return None
     opening = _opening(placed.centres[p], skin, template, eye, middle, gaze, axes, step)
-    linear = linear_from_srgb(seen / 255.0)
+    linear = decode_srgb(seen)
     stroma, white, veil = _zones(linear, circle, opening, step)
     if min(stroma.sum(), white.sum()) < _LEAST_PIXELS:
         return None

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from avatarbuild.formats.colour import srgb_from_linear
+from avatarbuild.formats.colour import encode_srgb
 from avatarbuild.registration.eye_painting import WHITE, EyePainting, eye_map, paint_eye
 from avatarbuild.registration.eye_shape import eye_shape
 from avatarbuild.registration.eyes import Eyeballs
@@ -58,7 +58,7 @@ def eye_texture(
     if patches:
         painting = coloured(painting, patches)
     colour = painting.colour()
-    texture = np.round(255 * srgb_from_linear(np.clip(colour, 0, 1))).astype(np.uint8)
+    texture = encode_srgb(colour)
     return EyeTexture(texture, patches, np.median(colour[_compared(painting)], axis=0))
 
 

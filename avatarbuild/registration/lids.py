@@ -12,9 +12,9 @@ from scipy.sparse.csgraph import connected_components
 
 from avatarbuild.geometry import meshes
 from avatarbuild.geometry.rings import rings
-from avatarbuild.registration.eye_shape import EYES, EyeShape, eye_shape, offsets
+from avatarbuild.registration.eye_shape import EyeShape, eye_shape, offsets
 from avatarbuild.solvers.sparse import Factor
-from avatarbuild.template import Template
+from avatarbuild.template import EYE_PARTS, Template
 
 HELD, OUTER = 2, 11  # rings outside the rim: the last that moves as the ball says, and the first that stays
 TOUCHING = 0.3  # mm from the template's eyeball of the vertices that touch it
@@ -73,7 +73,7 @@ def _lid_bands(key: _Same) -> tuple[LidBand, LidBand]:
     points = template.mean[skin.vertices]
     graph = meshes.adjacency(len(points), triangles)
     bands = []
-    for k, name in enumerate(EYES):
+    for k, name in enumerate(EYE_PARTS):
         side = name.removeprefix("eye_")
         rim = np.unique(
             np.concatenate([template.contours[f"lid_upper_{side}"], template.contours[f"lid_lower_{side}"]])

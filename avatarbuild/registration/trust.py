@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from avatarbuild.formats.colour import linear_from_srgb
+from avatarbuild.formats.colour import decode_srgb
 from avatarbuild.template import Template
 
 _CELL = 2.5  # mm: cells whose normals are compared
@@ -50,7 +50,7 @@ def cloud_trust(
     high = np.where(other[vertex], _SMOOTH, _SMOOTH_FACE)
     trust = np.clip((smooth - low) / (high - low), 0, 1)
 
-    log = np.log(linear_from_srgb(colours.astype(np.float64) / 255.0) + 0.004)
+    log = np.log(decode_srgb(colours) + 0.004)
     features = np.stack([log[:, 0] - log[:, 1], log[:, 2] - log[:, 1], log.mean(axis=1)], axis=1)
     known = plain[vertex] & (near < _NEAR) & (smooth > _SMOOTH_FACE)
     if known.sum() < 100:

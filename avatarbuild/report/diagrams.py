@@ -58,14 +58,14 @@ def dots(capture: Capture, found: list[Shot]) -> list[Dot]:
     return answer
 
 
-def coverage(found: list[Dot], max_yaw: float = TRUSTED_YAW) -> str:
+def coverage(found: list[Dot]) -> str:
     """An SVG: a dot for each photo at the direction it sees the face from, the subject's right side on the left."""
     w, h, left, top, right, bottom = 720, 420, 44, 16, 706, 372
     x = lambda yaw: left + (np.clip(yaw, -_YAW, _YAW) + _YAW) / (2 * _YAW) * (right - left)  # noqa: E731
     y = lambda pitch: top + (_PITCH - np.clip(pitch, -_PITCH, _PITCH)) / (2 * _PITCH) * (bottom - top)  # noqa: E731
     parts = [_open(w, h, "Directions from which the photos see the face")]
     good = [dot.yaw for dot in found if dot.kind in ("sharp", "softened", "blurred")]
-    for low in np.arange(-max_yaw, max_yaw, _BIN):
+    for low in np.arange(-TRUSTED_YAW, TRUSTED_YAW, _BIN):
         if not any(low <= yaw < low + _BIN for yaw in good):
             parts.append(
                 f'<rect class="lack" x="{x(low):.1f}" y="{top}" width="{x(low + _BIN) - x(low):.1f}" '

@@ -8,10 +8,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from avatarbuild.artefacts import Blendshapes
+from avatarbuild.formats.colour import decode_srgb, linear_from_srgb
 from avatarbuild.geometry.mipmap import build_mipmap
 from avatarbuild.report.rendering import Decal, Paint, View, draw
-from avatarbuild.report.shading import decode_srgb
-from avatarbuild.template import Template, expression_weights
+from avatarbuild.template import EYE_PARTS, Template, expression_weights
 from avatarbuild.texture.photos import shrunk
 
 # sRGB, as they look
@@ -19,7 +19,6 @@ SKIN, LIP, BROW = (0.80, 0.64, 0.56), (0.69, 0.43, 0.40), (0.30, 0.23, 0.19)
 WHITE, IRIS, PUPIL = (0.88, 0.86, 0.84), (0.35, 0.24, 0.15), (0.03, 0.03, 0.03)
 TOOTH, GUM, TONGUE, INSIDE = (0.90, 0.87, 0.80), (0.70, 0.38, 0.38), (0.70, 0.38, 0.38), (0.30, 0.12, 0.12)
 
-_EYES = ("eye_left", "eye_right")
 _GLOSS = {"teeth_upper": 0.62, "teeth_lower": 0.62, "gums": 0.5, "tongue": 0.45, "eye_left": 0.95, "eye_right": 0.95}
 _TEXTURE = 2048  # texels: finer ones no picture shows
 _COMPANIONS = {"mouthClose": {"jawOpen": 1.0}, "tongueOut": {"jawOpen": 0.45}}  # shapes that make sense with others
@@ -37,20 +36,20 @@ class Figure:
 
     def posed(self, weights: dict[str, float]) -> np.ndarray:
         """(n', 3): neutral + sum_j w_j deltas_j, eyeballs turned, refined."""
-        w = expression_weights(**weights)
-        x = np.asarray(self.blendshapes.neutral, np.float64).copy()
-        for j in np.flatnonzero(w):
-            x += w[j] * self.blendshapes.deltas[j]
-        turns = self.template.eye_rotation_matrices(w)
-        for name, centre, turn in zip(_EYES, self.blendshapes.eye_centres, turns, strict=True):
-            if name in self.template.parts:
-                ball = self.template.parts[name].vertices
-                x[ball] = (x[ball] - centre) @ turn.T + centre
-        return self.matrix @ x
+        return self.matrix @ posed(self.template, self.blendshapes, expression_weights(**weights))
 
     def picture(self, weights: dict[str, float], view: View) -> np.ndarray:
         """(h, w, 3) uint8 sRGB."""
         return draw(self.posed(weights), self.triangles, self.paint, view)
+
+
+def posed(template: Template, rig: Blendshapes, weights: np.ndarray) -> np.ndarray:
+    """(n, 3) mm: neutral + sum_j w_j deltas_j of a rig at weights (52,), eyeballs turned about its own centres."""
+    x = np.asarray(rig.neutral, np.float64).copy()
+    for j in np.flatnonzero(weights):
+        x += weights[j] * rig.deltas[j]
+    template.turn_eyes(x, weights, rig.eye_centres)
+    return x
 
 
 def coarse(figure: Figure) -> Figure:
@@ -69,29 +68,29 @@ def expression(name: str) -> dict[str, float]:
     return {**_COMPANIONS.get(name, {}), name: 1.0}
 
 
-def plain(template: Template, eye_texture: np.ndarray | None = None) -> Paint:
-    """A template head in the colours of a doll; eye_texture (s, s, 3) uint8 covers the square of one eye's UV."""
-    colours = np.tile(decode_srgb(SKIN), (template.vertex_count, 1))
+def plain(template: Template) -> Paint:
+    """A template head in the colours of a doll."""
+    colours = np.tile(linear_from_srgb(SKIN), (template.vertex_count, 1))
     mouth = template.regions["mouth"] & ~template.regions["face"]
     for mask, colour in ((template.regions["lips"], LIP), (template.regions["brows"], BROW), (mouth, INSIDE)):
-        colours[mask] = decode_srgb(colour)
+        colours[mask] = linear_from_srgb(colour)
     for name, colour in (("teeth_upper", TOOTH), ("teeth_lower", TOOTH), ("gums", GUM), ("tongue", TONGUE)):
         if name in template.parts:
-            colours[template.parts[name].vertices] = decode_srgb(colour)
-    for name, centre in zip(_EYES, template.eye_centres, strict=True):
+            colours[template.parts[name].vertices] = linear_from_srgb(colour)
+    for name, centre in zip(EYE_PARTS, template.eye_centres, strict=True):
         if name in template.parts:
             rows = template.parts[name].vertices
             offset = template.mean[rows] - centre
             across, front = np.hypot(offset[:, 0], offset[:, 1]), offset[:, 2] > 0
-            ring = np.where((front & (across < 6.0))[:, None], decode_srgb(IRIS), decode_srgb(WHITE))
-            colours[rows] = np.where((front & (across < 2.3))[:, None], decode_srgb(PUPIL), ring)
+            ring = np.where((front & (across < 6.0))[:, None], linear_from_srgb(IRIS), linear_from_srgb(WHITE))
+            colours[rows] = np.where((front & (across < 2.3))[:, None], linear_from_srgb(PUPIL), ring)
     gloss = np.full(template.vertex_count, 0.2)
     for name, value in _GLOSS.items():
         if name in template.parts:
             gloss[template.parts[name].vertices] = value
     gloss[template.regions["lips"]] = 0.4
     gloss[mouth | template.regions["sockets"]] = 0.2
-    return Paint(colours, gloss, () if eye_texture is None else _irises(template, eye_texture))
+    return Paint(colours, gloss)
 
 
 def figure(blendshapes: Blendshapes, albedo: np.ndarray, template: Template, levels: int) -> Figure:
@@ -101,27 +100,5 @@ def figure(blendshapes: Blendshapes, albedo: np.ndarray, template: Template, lev
     step = max(1, albedo.shape[0] // _TEXTURE)
     texture = shrunk(decode_srgb(albedo).astype(np.float32), step)
     skin = Decal(slice(0, len(refined.triangles)), build_mipmap(texture), refined.uv, refined.uv_triangles)
-    colours = np.tile(decode_srgb(SKIN), (len(gloss), 1))
+    colours = np.tile(linear_from_srgb(SKIN), (len(gloss), 1))
     return Figure(template, blendshapes, refined.matrix, refined.triangles, Paint(colours, gloss, [skin]))
-
-
-def _irises(template: Template, texture: np.ndarray) -> list[Decal]:
-    mipmap = build_mipmap(decode_srgb(texture).astype(np.float32))
-    uv = _eye_uv(template, template.uv, template.uv_triangles, 1)
-    return [
-        Decal(template.parts[name].triangles, mipmap, uv, template.uv_triangles)
-        for name in _EYES
-        if name in template.parts
-    ]
-
-
-def _eye_uv(template: Template, uv: np.ndarray, uv_triangles: np.ndarray, times: int) -> np.ndarray:
-    """The UVs with each eye's square stretched to the whole texture."""
-    out = uv.copy()
-    for name in _EYES:
-        if name in template.parts:
-            part = template.parts[name].triangles
-            rows = np.unique(uv_triangles[part.start * times : part.stop * times])
-            low, high = uv[rows].min(axis=0), uv[rows].max(axis=0)
-            out[rows] = (uv[rows] - low) / (high - low)
-    return out

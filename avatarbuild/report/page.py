@@ -61,7 +61,7 @@ def page(
     absent = {"performance": not filmed, "details": not details.files}
     links = "".join(f'<li><a href="#{key}">{name}</a></li>' for key, name in _PLACES if not absent.get(key))
     parts: list[Callable[[], str]] = [
-        lambda: _opening(capture, cameras, figure, stages),
+        lambda: _opening(capture, cameras, figure),
         lambda: _verdict(capture, cameras, points, neutral, template, stages, len(todo)),
         lambda: f'</header><nav aria-label="Sections"><ul>{links}</ul></nav><main>',
         lambda: sections.advice(todo),
@@ -85,7 +85,7 @@ def page(
     return (head + "\n".join(body) + "</body></html>\n").encode()
 
 
-def _opening(capture: Capture, cameras: Cameras, figure: heads.Figure, stages: list[dict[str, Any]]) -> str:
+def _opening(capture: Capture, cameras: Cameras, figure: heads.Figure) -> str:
     """Who and what, and the head."""
     clip = capture.clip
     video = ", without a video"

@@ -13,12 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from avatarbuild.formats.colour import encode_srgb
 from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.geometry.mipmap import Mipmap, sample_texture
 from avatarbuild.geometry.raster import Raster, box_average, interpolate, project, rasterise
-from avatarbuild.report.shading import Light, encode_srgb, lit
+from avatarbuild.report.shading import Light, lit
 
-PAPER = (0.60, 0.62, 0.65)  # linear: a grey that suits light and dark pages
+_PAPER = (0.60, 0.62, 0.65)  # linear: a grey that suits light and dark pages
 
 
 class View(NamedTuple):
@@ -108,7 +109,9 @@ def shade(seen: Seen, normals: np.ndarray, image: np.ndarray, gloss: np.ndarray,
     return lit(seen.raster.depth, smooth, image, light, seen.focal)
 
 
-def finish(linear: np.ndarray, shown: np.ndarray, factor: int, paper: tuple[float, float, float] = PAPER) -> np.ndarray:
+def finish(
+    linear: np.ndarray, shown: np.ndarray, factor: int, paper: tuple[float, float, float] = _PAPER
+) -> np.ndarray:
     """(h / factor, w / factor, 3) uint8 sRGB of a drawing, before a background that darkens towards its rim.
 
     linear (h, w, 3) float32, zero where shown (h, w) bool says that there is nothing.
@@ -129,10 +132,9 @@ def draw(
     *,
     light: Light | None = None,
     factor: int = 2,
-    paper: tuple[float, float, float] = PAPER,
 ) -> np.ndarray:
     """(h, w, 3) uint8 sRGB: the mesh as it looks, supersampled by `factor`."""
     seen = look(vertices, triangles, view, factor)
     normals = vertex_normals(vertices, triangles)
     linear = shade(seen, normals, colour_image(seen, paint), paint.gloss, light or Light())
-    return finish(linear, seen.raster.triangle >= 0, factor, paper)
+    return finish(linear, seen.raster.triangle >= 0, factor)

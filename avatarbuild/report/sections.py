@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from avatarbuild.artefacts import Cameras, Capture, Cloud, Neutral
+from avatarbuild.formats.colour import encode_srgb
 from avatarbuild.report import diagrams, overlay, views, words
 from avatarbuild.report.heads import Figure, coarse, expression
 from avatarbuild.report.html import drawing, duration, legend, paragraph, picture, row, section
 from avatarbuild.report.rendering import View
-from avatarbuild.report.shading import encode_srgb
 from avatarbuild.template import ARKIT_NAMES, Template
 
 _SIDE = (264, 320)  # pixels of a picture from one side

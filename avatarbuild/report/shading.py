@@ -5,15 +5,11 @@ Images are (h, w); normals, depth and focal length are a pinhole camera's whose 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numba
 import numpy as np
 
-from avatarbuild.formats.colour import linear_from_srgb, srgb_from_linear
-
-_LINEAR = linear_from_srgb(np.arange(256) / 255.0)
 _REACH = 11.0  # mm: surfaces nearer than this darken one another
 _TAPS = 6  # directions that a pixel looks for them; its four neighbours look in others
 _OCCLUSION, _DARKEST = 0.95, 0.25
@@ -58,17 +54,6 @@ def occlusion(depth: np.ndarray, normals: np.ndarray, focal: float) -> np.ndarra
     angle = 2.399963 * np.arange(_TAPS) + 0.5 * np.pi / _TAPS * np.arange(4)[:, None]  # the golden angle, spread evenly
     _occlusion(depth, normals, focal, share[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1), out)
     return out
-
-
-def decode_srgb(value: np.ndarray | Sequence[float]) -> np.ndarray:
-    """Linear light of sRGB values: uint8 in 0..255, floats in 0..1."""
-    array = np.asarray(value)
-    return _LINEAR[array] if array.dtype == np.uint8 else linear_from_srgb(array)
-
-
-def encode_srgb(linear: np.ndarray) -> np.ndarray:
-    """uint8 sRGB of linear light, clipped to 0..1."""
-    return np.round(255 * srgb_from_linear(np.clip(linear, 0, 1))).astype(np.uint8)
 
 
 @numba.njit(cache=True, nogil=True, parallel=True, error_model="numpy")

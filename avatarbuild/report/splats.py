@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from avatarbuild.report.rendering import PAPER, View, finish, pinhole
+from avatarbuild.report.rendering import View, finish, pinhole
 from avatarbuild.report.shading import Light, lit
 
 _FAR_SHARE = 0.3  # of the splats' depth tolerance, in radii
@@ -46,13 +46,12 @@ def draw_splats(
     clay: float | None = None,
     light: Light | None = None,
     factor: int = 2,
-    paper: tuple[float, float, float] = PAPER,
 ) -> np.ndarray:
     """(h, w, 3) uint8 sRGB of a splatted cloud in its colours, or all of one grey, `clay`, which shows shape alone."""
     image = splats.colours if clay is None else np.full_like(splats.colours, clay)
     dull = np.zeros((*splats.depth.shape, 1), np.float32)
     linear = lit(splats.depth, np.concatenate([splats.normals, dull], axis=2), image, light or Light(), splats.focal)
-    return finish(linear, np.isfinite(splats.depth), factor, paper)
+    return finish(linear, np.isfinite(splats.depth), factor)
 
 
 @numba.njit(cache=True, inline="always")

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from avatarbuild.artefacts import Cloud, Neutral
+from avatarbuild.formats.colour import decode_srgb, linear_from_srgb
 from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.geometry.raster import interpolate
 from avatarbuild.report.rendering import View, finish, look, shade
-from avatarbuild.report.shading import Light, decode_srgb
+from avatarbuild.report.shading import Light
 from avatarbuild.report.splats import draw_splats, splat
 from avatarbuild.template import Template
 
@@ -53,7 +54,7 @@ def heat_scale(neutral: Neutral, template: Template) -> float:
 def heat_colour(distance: np.ndarray, scale: float) -> np.ndarray:
     """(…, 3) linear: blue where the cloud lies inside the head (-scale), red where outside (+scale), pale at 0."""
     share = np.clip(np.asarray(distance, float) / scale, -1, 1)[..., None]
-    low, middle, high = (decode_srgb(c) for c in (INWARD, EVEN, OUTWARD))
+    low, middle, high = (linear_from_srgb(c) for c in (INWARD, EVEN, OUTWARD))
     return middle + np.abs(share) * (np.where(share < 0, low, high) - middle)
 
 
@@ -69,13 +70,13 @@ def heat_picture(neutral: Neutral, template: Template, view: View, scale: float,
     mean = interpolate(columns, skin, seen.raster.triangle, seen.raster.barycentric)
     share = mean[..., 1:2]
     heat = heat_colour(mean[..., 0] / np.maximum(share[..., 0], 1e-3), scale)
-    image = np.where(share > 0.5, heat, decode_srgb(UNKNOWN))
+    image = np.where(share > 0.5, heat, linear_from_srgb(UNKNOWN))
     h, w = seen.raster.triangle.shape
     row, column = np.ogrid[:h, :w]
     stripe = ((row + column) // factor % _STRIPE < 2)[..., None]
     prior = mean[..., 2:3] < 0.5
-    image = np.where(prior, 0.35 * image + 0.65 * decode_srgb(UNSEEN), image)
-    image = np.where(prior & stripe, decode_srgb(UNKNOWN), image)
+    image = np.where(prior, 0.35 * image + 0.65 * linear_from_srgb(UNSEEN), image)
+    image = np.where(prior & stripe, linear_from_srgb(UNKNOWN), image)
     normals = vertex_normals(neutral.vertices, skin)
     dull = np.zeros(len(neutral.vertices))
     linear = shade(seen, normals, image.astype(np.float32), dull, _EVEN_LIGHT)

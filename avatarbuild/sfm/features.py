@@ -30,10 +30,6 @@ class Features:
     def __len__(self) -> int:
         return len(self.points)
 
-    def subset(self, index: np.ndarray) -> Features:
-        """The features that `index` (numbers or booleans) selects."""
-        return Features(self.points[index], self.scales[index], self.descriptors[index])
-
 
 def _extract(grey: np.ndarray, most: int) -> Features:
     found = _extract_from(grey, most, 0)

@@ -16,11 +16,11 @@ from avatarbuild.options import option
 from avatarbuild.progress import Progress, Silent
 from avatarbuild.simulation import truth
 from avatarbuild.simulation.light import Light, changed
-from avatarbuild.simulation.performance import NO_PERFORMANCE, PIVOT, Performance, perform
+from avatarbuild.simulation.performance import NO_PERFORMANCE, Performance, perform
 from avatarbuild.simulation.photographs import Shot, develop, sweep, write_photo
 from avatarbuild.simulation.rendering import Camera, draw
 from avatarbuild.simulation.studio import Studio, build_studio, posed_head, surroundings
-from avatarbuild.template import ARKIT_NAMES, Template
+from avatarbuild.template import ARKIT_NAMES, PIVOT, Template
 
 log = logging.getLogger(__name__)
 

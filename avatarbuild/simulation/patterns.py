@@ -187,7 +187,7 @@ def carton(rng: np.random.Generator, grain: Grain, h: int, w: int) -> np.ndarray
     return grain.textured(image, 0.09, 0.08)
 
 
-def window(rng: np.random.Generator, h: int, w: int) -> np.ndarray:
+def window(h: int, w: int) -> np.ndarray:
     """A bright window with a cross, about four times white."""
     y = np.linspace(1, 0, h)[:, None, None]
     image = (3.0 + 2.0 * y) * np.array([0.92, 1.0, 1.1]) * np.ones((h, w, 1))

@@ -9,7 +9,7 @@ import numpy as np
 from avatarbuild.geometry.rotations import rotation
 from avatarbuild.simulation.photographs import look_at
 from avatarbuild.simulation.rendering import Camera
-from avatarbuild.template import ARKIT_NAMES
+from avatarbuild.template import ARKIT_NAMES, PIVOT
 
 # Each event: shapes and their weights at its height; tails L and R stand for Left and Right.
 _EVENTS: tuple[dict[str, float], ...] = (
@@ -46,7 +46,6 @@ _EVENTS: tuple[dict[str, float], ...] = (
     {"eyeBlinkLeft": 1.0, "cheekSquintLeft": 0.4},
     {"eyeBlinkRight": 1.0, "mouthSmileRight": 0.3},
 )
-PIVOT = np.array([0.0, -95.0, -55.0])  # mm: about where a head turns on its neck
 
 
 @dataclass(frozen=True)

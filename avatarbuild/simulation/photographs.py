@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from avatarbuild.formats.colour import srgb_from_linear
+from avatarbuild.formats.colour import encode_srgb
 from avatarbuild.parallel import in_order
 from avatarbuild.simulation.rendering import Camera
 
@@ -116,7 +116,7 @@ def _exposed(image: np.ndarray, shot: Shot, grain: np.ndarray) -> np.ndarray:
     # Sensors clip softly: the last tenth below white is compressed.
     bright = image > 0.9
     image[bright] = 0.9 + 0.1 * np.tanh((image[bright] - 0.9) / 0.1 * 0.9)
-    return np.round(255 * srgb_from_linear(np.clip(image, 0, 1))).astype(np.uint8)
+    return encode_srgb(image)
 
 
 def write_photo(path: Path, rgb: np.ndarray, orientation: int, index: int, *, quality: int = 92) -> None:

@@ -17,7 +17,6 @@ from avatarbuild.simulation.light import Light
 _STRIP = 384  # rows of the supersampled picture that are shaded at a time
 _NEAR = 40.0  # mm
 _TAPS = 2  # supersampling has taken its share of the anisotropy
-_SKIN_FRESNEL = 0.028
 
 
 @dataclass(frozen=True)

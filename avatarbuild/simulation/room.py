@@ -62,12 +62,11 @@ class _Builder:
         picture: np.ndarray,
         *,
         kind: str = "",
-        cell: float = _CELL,
     ) -> None:
         """A picture seen upright from the side to which right x up points; `corner` is its lower left."""
         corner, right, up = (np.asarray(v, np.float64) for v in (corner, right, up))
-        a = max(int(np.ceil(np.linalg.norm(right) / cell)), 1)
-        b = max(int(np.ceil(np.linalg.norm(up) / cell)), 1)
+        a = max(int(np.ceil(np.linalg.norm(right) / _CELL)), 1)
+        b = max(int(np.ceil(np.linalg.norm(up) / _CELL)), 1)
         v, u = np.meshgrid(np.linspace(0, 1, b + 1), np.linspace(0, 1, a + 1), indexing="ij")
         uv = np.stack([u, v], -1).reshape(-1, 2)
         points = corner + uv[:, :1] * right + uv[:, 1:] * up
@@ -157,7 +156,7 @@ def furnished_room(rng: np.random.Generator, texel: float, collar: np.ndarray | 
     # The window is in front of the subject: it lights one cheek and leaves the other in its own shade.
     ahead = np.linalg.norm(right) * (0.32 if side == "west" else 0.68)
     low_left = corner + across * (ahead - wide / 2) + np.array([0, 850.0, 0]) + inward * 12
-    build.rectangle(low_left, across * wide, np.array([0, tall, 0]), patterns.window(rng, 300, 320), kind="window")
+    build.rectangle(low_left, across * wide, np.array([0, tall, 0]), patterns.window(300, 320), kind="window")
     towards = low_left + across * wide / 2 + np.array([0, tall / 2, 0])
 
     for name, (corner, right) in walls.items():

@@ -49,11 +49,7 @@ class Subject:
     def posed(self, weights: np.ndarray) -> np.ndarray:
         """(n, 3) the head at weights (e,), eyeballs turned."""
         x = self.neutral + self.deltas(weights)
-        for side, name in enumerate(("eye_left", "eye_right")):
-            if name in self.template.parts:
-                ball = self.template.parts[name].vertices
-                centre, R = self.eye_centres[side], self.template.eye_rotation_matrices(weights)[side]
-                x[ball] = (x[ball] - centre) @ R.T + centre
+        self.template.turn_eyes(x, weights, self.eye_centres)
         return x
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from avatarbuild.formats.colour import srgb_from_linear
+from avatarbuild.formats.colour import encode_srgb
 from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.geometry.mipmap import sample_texture
 from avatarbuild.geometry.raster import Raster, interpolate, rasterise
@@ -205,7 +205,7 @@ def write_visibility(folder: Path, counts: np.ndarray, order: Order, chart: Char
 
 def write_normals(folder: Path, frame: int, skin: Skin, camera: Camera, face: np.ndarray) -> None:
     """normals_%04d.npz: int8 normals (camera axes, wrinkles included) in the face's box; `face` (m,) bool faces."""
-    pixels, depth = skin_pixels(skin, camera)
+    pixels, depth = camera.project(skin.vertices)
     raster = rasterise(pixels, depth, skin.triangles, camera.size, near=40)
     mask = (raster.triangle >= 0) & face[raster.triangle]
     rows, columns = np.nonzero(mask)
@@ -218,11 +218,6 @@ def write_normals(folder: Path, frame: int, skin: Skin, camera: Camera, face: np
     inside = mask[cut]
     stored = np.round(127 * normal * inside[..., None]).astype(np.int8)
     _save(folder / f"normals_{frame:04d}.npz", frame=np.array(frame), bbox=box, normal=stored, mask=inside)
-
-
-def skin_pixels(skin: Skin, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (n, 2) and depth (n,) of a head."""
-    return camera.project(skin.vertices)
 
 
 def relief_normals(skin: Skin, raster: Raster, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
@@ -245,7 +240,7 @@ def write_albedo(folder: Path, head: Head) -> None:
     albedo = head.surface.albedo
     if albedo.shape[0] != _ALBEDO:
         albedo = cv2.resize(albedo, (_ALBEDO, _ALBEDO), interpolation=cv2.INTER_AREA)
-    stored = np.round(255 * srgb_from_linear(np.clip(albedo, 0, 1))).astype(np.uint8)
+    stored = encode_srgb(albedo)
     if not cv2.imwrite(str(folder / "albedo_face.png"), stored[..., ::-1]):
         raise OSError(f"cannot write {folder / 'albedo_face.png'}")
 

@@ -111,10 +111,10 @@ def _lines(at: np.ndarray, rng: np.random.Generator) -> dict[str, list[tuple[np.
         s = np.linspace(0, len(path) - 1, 50)
         line = np.stack([np.interp(s, np.arange(len(path)), corners[:, c]) for c in range(3)], 1)
         found[f"fold_{side}"].append((line, rng.uniform(0.45, 0.7), rng.uniform(1.3, 1.8)))
-    for sign, inner, outer in ((1.0, 197, 343), (-1.0, 197, 114)):
+    for inner, outer in ((197, 343), (197, 114)):
         for shift in (-4.0, 0.5, 5.0):
             s = np.linspace(0.25, 0.95, 16)[:, None]
-            line = at[inner] * (1 - s) + at[outer] * s + [0, shift + 0.0 * sign, 0]
+            line = at[inner] * (1 - s) + at[outer] * s + [0, shift, 0]
             found["bunny"].append((line, rng.uniform(0.2, 0.32), rng.uniform(0.7, 1.0)))
     s = np.linspace(-1, 1, 30)
     middle = 0.45 * at[17] + 0.55 * at[199]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from avatarbuild.template import MOUTH_PARTS, Template
+from avatarbuild.template import EYE_PARTS, MOUTH_PARTS, Template
 from avatarbuild.template_import.foreign import ForeignHead
 from avatarbuild.template_import.wrap import EXTENSION, Extension, Wrap, extension, wrap
 
@@ -55,7 +55,7 @@ def to_template(head: ForeignHead, shipped: Template) -> Template:
     basis = np.zeros((len(identity), *whole.shape))
     shapes = fit.scale * shipped.expressions
     whole[skin], basis[:, skin], shapes[:, skin] = mean, identity, posed
-    for name, eye in zip(("eye_left", "eye_right"), eyes, strict=True):
+    for name, eye in zip(EYE_PARTS, eyes, strict=True):
         ball = shipped.parts[name].vertices
         whole[ball] = shipped.mean[ball] - eye.rest_centre + eye.centre
         basis[:, ball] = eye.basis[:, None]

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from avatarbuild.solvers.sparse import Factor
-from avatarbuild.template import Template
+from avatarbuild.template import EYE_PARTS, Template
 from avatarbuild.texture.chart import Chart, continued, draw_chart, seam_ties, texels_per_mm
 
 _COARSE = 256  # texels of u's grid
@@ -230,7 +230,7 @@ def _lay_eyes(out: np.ndarray, eye: np.ndarray, template: Template, part: np.nda
     """The eye's texture in the charts of both eyeballs, in place."""
     size = out.shape[0]
     for k, name in enumerate(template.parts):
-        if name not in ("eye_left", "eye_right"):
+        if name not in EYE_PARTS:
             continue
         used = template.uv[np.unique(template.uv_triangles[template.parts[name].triangles])]
         low, high = used.min(axis=0), used.max(axis=0)

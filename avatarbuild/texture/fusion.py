@@ -76,7 +76,7 @@ def choice(nodes: Nodes, seen: Observations, photos: list[Photo], still: np.ndar
 
     usable = seen.cosine**2 * np.clip(1 - 4 * seen.clipped, 0.02, 1)
     near, wide = averaged(colour, usable.astype(np.float32), nodes.triangles, _ROUNDS_NEAR_WIDE)
-    fine = common_offset(*near)
+    fine = trimmed(*near, *_COMMON) - near[0]
     local, local_weight = wide
     common = trimmed(*wide, *_COMMON)
     low = trimmed(*wide, *_LOW)
@@ -103,11 +103,6 @@ def choice(nodes: Nodes, seen: Observations, photos: list[Photo], still: np.ndar
     slant = seen.cosine[at] ** (1 - _BY_CHOICE * nodes.front)
     quality = np.where(label >= 0, slant * np.minimum(sharpness[at[0]], 1), 0)
     return Choice(gains, label, quality, offset, low, sharpness, disagreement)
-
-
-def common_offset(local: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """(p, n, 3) q - B_i of colours (p, n, 3) with weights (p, n)."""
-    return trimmed(local, weight, *_COMMON) - local
 
 
 def held_together(labelled: np.ndarray, pairs: np.ndarray, area: np.ndarray, nodes: Nodes) -> np.ndarray:
@@ -171,7 +166,7 @@ def fuse(
     seen = observe(photos, nodes, vertices, template.triangles, lambda: tell(0.35 / len(photos)))
     chosen = choice(nodes, seen, photos, still)
     tell(0.2)
-    chart = chart_at(template, nodes, size)
+    chart = draw_chart(template, nodes.uv, nodes.uv_triangles, size)
     position = chart.field(nodes.position, nodes.triangles)
     label = np.empty((size, size), np.int16)
     texel_labels(chart.triangle, chart.barycentric, nodes.triangles, chosen.label, label)
@@ -211,11 +206,6 @@ def fuse(
         "poisson_steps": max(taken),
     }
     return fused, chosen, figures
-
-
-def chart_at(template: Template, nodes: Nodes, size: int) -> Chart:
-    """The chart of the nodes' triangles."""
-    return draw_chart(template, nodes.uv, nodes.uv_triangles, size)
 
 
 def corrected(

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from avatarbuild.artefacts import StoredImage, Views
-from avatarbuild.formats.colour import linear_from_srgb, srgb_from_linear
+from avatarbuild.formats.colour import decode_srgb, srgb_from_linear
 from avatarbuild.sfm.metric import Placed
 
 if TYPE_CHECKING:
@@ -82,14 +82,14 @@ def lens_of(camera: pycolmap.Camera) -> tuple[np.ndarray, np.ndarray]:
 
 
 @lru_cache
-def linear_table() -> np.ndarray:
+def _linear_table() -> np.ndarray:
     """(256,) float32 linear light of sRGB bytes."""
-    return linear_from_srgb(np.arange(256) / 255.0).astype(np.float32)
+    return decode_srgb(np.arange(256)).astype(np.float32)
 
 
 def linear_picture(rgb: np.ndarray) -> np.ndarray:
     """(h, w, 3) float32 linear light of sRGB bytes."""
-    return linear_table()[rgb]
+    return _linear_table()[rgb]
 
 
 @lru_cache

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numba
 import numpy as np
 
@@ -11,18 +9,11 @@ from avatarbuild.parallel import in_order
 from avatarbuild.texture.photos import Photo, linear_picture, shrunk
 
 
-def sample(
-    photos: list[Photo],
-    label: np.ndarray,
-    position: np.ndarray,
-    texels_per_mm: float,
-    shift: Callable[[int, np.ndarray], np.ndarray] | None = None,
-) -> np.ndarray:
+def sample(photos: list[Photo], label: np.ndarray, position: np.ndarray, texels_per_mm: float) -> np.ndarray:
     """
     (n, 3) float32 linear colours of points position (n, 3) mm, each in the photo label (n,); 0 where label < 0.
 
-    A photo finer than the texture is averaged first. `shift(photo, which)` -> (j, 2) pixels added to the images of the
-    points `which` (j,).
+    A photo finer than the texture is averaged first.
     """
     out = np.zeros((len(label), 3), np.float32)
     order, starts = grouped(label, len(photos))
@@ -33,8 +24,6 @@ def sample(
         photo = photos[k]
         pixels = np.empty((len(which), 2), np.float32)
         _project(photo.lens(), position, which, pixels)
-        if shift is not None:
-            pixels += shift(k, which)
         depth = float(np.linalg.norm(photo.centre - position[which[:: max(len(which) // 100, 1)]], axis=1).mean())
         factor = max(1, int(photo.K[0, 0] / depth / texels_per_mm + 0.3))
         low = np.maximum(np.floor(np.nanmin(pixels, axis=0)).astype(int) - 4 * factor, 0)

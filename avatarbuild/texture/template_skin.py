@@ -5,10 +5,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from avatarbuild.formats.colour import linear_from_srgb
 from avatarbuild.formats.images import decode_jpeg
 from avatarbuild.template import Template, template_folder
 from avatarbuild.texture.chart import draw_chart
+from avatarbuild.texture.photos import linear_picture
 
 # linear colours of the parts of a template without a texture of its own
 _PLAIN = {
@@ -28,8 +28,7 @@ def skin_texture(template: Template, size: int) -> np.ndarray:
     stored = template_folder() / "skin.jpg"
     if not stored.is_file() or not _shipped_chart(template):
         return _plain(template, size)
-    table = linear_from_srgb(np.arange(256) / 255.0).astype(np.float32)
-    image = table[decode_jpeg(stored.read_bytes())]
+    image = linear_picture(decode_jpeg(stored.read_bytes()))
     if size == image.shape[0]:
         return image
     how = cv2.INTER_AREA if size < image.shape[0] else cv2.INTER_CUBIC

@@ -29,7 +29,6 @@ class LiveFlow:
         self._tried = np.zeros(max(len(times) - 1, 0), bool)  # by the frame that a step begins in
         self._focus, self._corrected = -1, frozenset[int]()
         self._changed = threading.Condition()
-        self._closed = False
         threading.Thread(target=self._work, daemon=True).start()
 
     def look(self, frame: int, corrected: frozenset[int]) -> None:
@@ -48,11 +47,6 @@ class LiveFlow:
         """The share of the steps about a frame that are known; 1 where no more come."""
         near = self._near(frame)
         return 1.0 if self.fault or not near.any() else float(self._tried[near].mean())
-
-    def close(self) -> None:
-        with self._changed:
-            self._closed = True
-            self._changed.notify()
 
     def _near(self, frame: int) -> np.ndarray:
         """(f - 1,) bool: steps that carry points of this frame."""
@@ -78,17 +72,15 @@ class LiveFlow:
     def _work(self) -> None:
         while True:
             with self._changed:
-                while not self._closed and not (frames := self._next()):
+                while not (frames := self._next()):
                     self._changed.wait()
-                if self._closed:
-                    return
                 focus = self._focus
             try:
                 for step in steps(frames, self._expected, self._decode):
                     with self._changed:
                         self._steps[step.first] = step
                         self._tried[step.first : step.then] = True
-                        if self._closed or self._focus != focus:
+                        if self._focus != focus:
                             break
                 else:
                     self._tried[frames[:-1]] = True  # those that cannot be decoded

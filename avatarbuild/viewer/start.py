@@ -15,6 +15,7 @@ from PIL import Image
 
 from avatarbuild.errors import InputError
 from avatarbuild.formats.gltf import Gltf, Writer, read_glb, with_picture
+from avatarbuild.formats.light import read_light
 from avatarbuild.project import Project
 
 _FIRST_SIDES = {"albedo": 1024, "eye": 512}  # least texels along the longer side of the first picture's colours
@@ -83,8 +84,7 @@ def albedo(glb: Gltf) -> bytes:
 def photo_light(project: Project) -> list[list[float]] | None:
     """(9, 3) the photos' light; None where stage albedo has not been run."""
     try:
-        with np.load(project.folder("albedo") / "light.npz") as arrays:
-            return np.round(arrays["harmonics"], 5).tolist()
+        return np.round(read_light(project.folder("albedo"))["harmonics"], 5).tolist()
     except (OSError, KeyError, ValueError):
         return None
 
