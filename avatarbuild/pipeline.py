@@ -49,7 +49,7 @@ class Stage:
 STAGES = (
     Stage("capture", (), artefacts.Capture, options.CaptureOptions, 1, "upright photos, video frames, landmarks"),
     Stage("cameras", ("capture",), artefacts.Cameras, options.CamerasOptions, 2, "where each photo was taken from"),
-    Stage("points", ("capture", "cameras"), artefacts.Cloud, options.PointsOptions, 1, "a dense cloud of the head"),
+    Stage("points", ("capture", "cameras"), artefacts.Cloud, options.PointsOptions, 2, "a dense cloud of the head"),
     Stage(
         "neutral",
         ("capture", "cameras", "points"),

@@ -13,7 +13,9 @@ noise. The search is PatchMatch (Bleyer, Rhemann and Rother 2011) along the scan
 cost.
 
 A view's maps depend on nothing that another thread does: views are the unit of parallel work, the kernels release the
-interpreter's lock.
+interpreter's lock. All that a kernel calls is written into it (inline): a called function's sums would be vectorised in
+one way where it has just been compiled and in another where the kernel comes from the cache, and the first run's cloud
+would not be the second's.
 """
 
 from __future__ import annotations
@@ -91,7 +93,7 @@ def _seed(state, seed, u, v):  # splitmix64 of the pixel: the numbers depend on 
     state[0] = (x ^ (x >> uint64(31))) | uint64(1)
 
 
-@njit(fastmath=True, error_model="numpy", nogil=True, cache=True)
+@njit(fastmath=True, error_model="numpy", nogil=True, inline="always")
 def _reference_window(grey, u, v, du, dv, spatial, p, w):
     """Fills values p and weights w (summing to 1); weighted mean and 1 / sqrt(variance + noise^2)."""
     h, wd = grey.shape
@@ -143,7 +145,7 @@ def _warp(m, k, uc, vc, q, qu, qv, reach, width, height):
     return ok, x - _f(0.5), y - _f(0.5), ax, bx, ay, by, dx, dy
 
 
-@njit(fastmath=True, error_model="numpy", nogil=True, cache=True)
+@njit(fastmath=True, error_model="numpy", nogil=True, inline="always")
 def _correlation(grey, start, width, x, y, ax, bx, ay, by, du, dv, p, w, mean, inv_sd):
     """Weighted NCC of the window with the source's, sampled bilinearly along the affine map."""
     s1 = _f(0)
@@ -173,7 +175,7 @@ def _correlation(grey, start, width, x, y, ax, bx, ay, by, du, dv, p, w, mean, i
     return (sp - s1 * mean) * inv_sd / np.sqrt(var)
 
 
-@njit(fastmath=True, error_model="numpy", nogil=True, cache=True)
+@njit(fastmath=True, error_model="numpy", nogil=True, inline="always")
 def _normal_equations(grey, start, width, x, y, ax, bx, ay, by, dx, dy, du, dv, p, w, mean, inv_sd, A, rhs):
     """
     Adds one source's Gauss-Newton terms of 1/2 sum_i w_i (g_i - p_i)^2, g and p normalised to mean 0, deviation 1.
@@ -250,7 +252,7 @@ def _normal_equations(grey, start, width, x, y, ax, bx, ay, by, dx, dy, du, dv, 
     A[5] += (j33 - e3 * e3 - c3 * c3) * inv_var
 
 
-@njit(fastmath=True, error_model="numpy", nogil=True, cache=True)
+@njit(fastmath=True, error_model="numpy", nogil=True, inline="always")
 def _reprojection(src, s, x, y, uc, vc):
     """Pixels between (uc, vc) and the way there and back by the source's own plane, at most 3."""
     worst = _f(3)
@@ -273,7 +275,7 @@ def _reprojection(src, s, x, y, uc, vc):
     return min(worst, np.sqrt(dx * dx + dy * dy))
 
 
-@njit(fastmath=True, error_model="numpy", nogil=True, cache=True)
+@njit(fastmath=True, error_model="numpy", nogil=True, inline="always")
 def _plane_cost(src, du, dv, reach, u, v, q, qu, qv, p, w, mean, inv_sd, best, consistency, each):
     """Cost of a plane at pixel (u, v); each (s,) receives the sources' own costs."""
     n = each.size
@@ -308,7 +310,7 @@ def _plane_cost(src, du, dv, reach, u, v, q, qu, qv, p, w, mean, inv_sd, best, c
     return total / _f(best), last
 
 
-@njit(fastmath=True, error_model="numpy", nogil=True, cache=True)
+@njit(fastmath=True, error_model="numpy", nogil=True, inline="always")
 def _gauss_newton_step(src, du, dv, reach, u, v, q, qu, qv, p, w, mean, inv_sd, each, worst, A, rhs):
     """The Gauss-Newton step (d q, d qu, d qv) over the sources whose cost is at most `worst`."""
     A[:] = _f(0)
