@@ -12,6 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import devtools
 import jsonschema
 import numpy as np
 import pycolmap
@@ -51,7 +52,6 @@ from avatarbuild.tracking.markers import Clicks, Markers
 from avatarbuild.tracking.rig import Places, Rig
 from avatarbuild.tracking.subject import kept_frame, score_level
 from avatarbuild.viewer import annotate, annotate_subject, server
-from tests import devtools
 
 PHOTO_SIZE, PHOTO_LENS = (480, 640), Lens(660.0, 0.0, (480, 640))
 YAWS = (-30, -15, 0, 15, 30)

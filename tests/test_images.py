@@ -8,15 +8,15 @@ import sys
 from pathlib import Path
 
 import cv2
+import media
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+from captures import benchmark
 from PIL import Image
 
 from avatarbuild.errors import InputError
 from avatarbuild.formats import colour, exif, heif, images
-from tests import media
-from tests.captures import benchmark
 
 AWKWARD = "Fotos für Zoë 头像/IMG 01 ü"
 

@@ -11,6 +11,7 @@ import cv2
 import media
 import numpy as np
 import pytest
+import synthetic
 from performances import FLIP, nothing
 from test_main import call, one_line, valid
 
@@ -87,24 +88,9 @@ def marks(i: int) -> np.ndarray:
 
 def views(numbers: list[int], shown: bool = True) -> Views:
     k = len(numbers)
-    none = np.full(k, np.nan)
-    return Views(
-        names=[f"{i:06d}" for i in numbers],
-        files=["new.mp4"] * k,
-        images=[],
-        size=np.tile(SIZE, (k, 1)),
-        focal=none,
-        lens=np.zeros(k, int),
-        time=none,
-        sharpness=none,
-        exposure=none,
-        white_balance=np.full((k, 2), np.nan),
-        clipped=none,
-        landmarks=np.array([marks(i) for i in numbers]) if shown else np.full((k, 478, 3), np.nan),
-        presence=np.ones(k) if shown else none,
-        scores=np.zeros((k, 52)),
-        pose=np.zeros((k, 3)),
-    )
+    seen = {"landmarks": np.array([marks(i) for i in numbers]), "presence": np.ones(k)} if shown else {}
+    known = {"scores": np.zeros((k, 52)), "pose": np.zeros((k, 3)), **seen}
+    return synthetic.views([f"{i:06d}" for i in numbers], ["new.mp4"] * k, SIZE, **known)
 
 
 def project() -> dict[str, object]:

@@ -7,8 +7,9 @@ import numpy as np
 import pycolmap
 import pytest
 import stereo_scenes as scenes
+import synthetic
 
-from avatarbuild.artefacts import Cameras, Capture, StoredImage, Views
+from avatarbuild.artefacts import Cameras, Capture, StoredImage
 from avatarbuild.errors import InputError
 from avatarbuild.formats import colmap_dense
 from avatarbuild.geometry import patchmatch, stereo_views
@@ -47,11 +48,7 @@ def ball(angles=ANGLES, blur=None, metric=True) -> tuple[Capture, Cameras]:
     k = len(poses)
     names = [f"IMG_{i:04d}" for i in range(k)]
     images = [StoredImage(photograph(p, (blur or {}).get(i, 0.0))) for i, p in enumerate(poses)]
-    nan = lambda *shape: np.full((k, *shape), np.nan)  # noqa: E731
-    views = Views(
-        names, names, images, np.tile(SIZE, (k, 1)), np.full(k, 300.0), np.zeros(k, int), nan(), nan(), nan(), nan(2),
-        nan(), nan(478, 3), nan(), nan(52), nan(3),
-    )  # fmt: skip
+    views = synthetic.views(names, names, SIZE, images, focal=np.full(k, 300.0))
     model = pycolmap.Reconstruction()
     camera = pycolmap.Camera(
         model="SIMPLE_RADIAL", width=SIZE[0], height=SIZE[1], params=[300.0, 144.0, 144.0, K1], camera_id=1

@@ -4,12 +4,12 @@ from fractions import Fraction
 from pathlib import Path
 
 import av
+import media
 import numpy as np
 import pytest
 
 from avatarbuild.errors import InputError
 from avatarbuild.formats import colour, video
-from tests import media
 
 AWKWARD = "Videos für Zoë 头像/MOV 01 ü"
 
