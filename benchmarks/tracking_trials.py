@@ -20,6 +20,7 @@ import numpy as np
 from avatarbuild.artefacts import Albedo, Blendshapes, Cameras, Capture, Clip, Neutral, Performance, Views
 from avatarbuild.footage import read_clip
 from avatarbuild.formats import video
+from avatarbuild.formats.clip import encode_clip
 from avatarbuild.formats.corrections import Corrections, corrections_bytes, read_corrections
 from avatarbuild.new_footage import identity
 from avatarbuild.options import CaptureOptions, TrackingOptions
@@ -94,9 +95,7 @@ def spoilt(clip: Clip, source: Path, out: Path, seed: int = 0) -> dict[str, list
 
     path = out / clip.file
     path.parent.mkdir(parents=True, exist_ok=True)
-    video.encode_clip(
-        path, (picture(i, rgb) for i, _, rgb in video.decode_frames(source / clip.file, range(f))), clip.fps
-    )
+    encode_clip(path, (picture(i, rgb) for i, _, rgb in video.decode_frames(source / clip.file, range(f))), clip.fps)
     return {"blurred": blurred, "hidden": hidden, "gone": gone}
 
 

@@ -19,6 +19,7 @@ from avatarbuild import main, new_footage, options, pipeline
 from avatarbuild.artefacts import Blendshapes, Performance, Views
 from avatarbuild.errors import InputError
 from avatarbuild.formats import track, video
+from avatarbuild.formats.clip import encode_clip
 from avatarbuild.geometry.mipmap import build_mipmap, sample_texture
 from avatarbuild.geometry.raster import rasterise
 from avatarbuild.geometry.rotations import rotation
@@ -123,7 +124,7 @@ def filmed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "new.mp4"
     frames = [picture(i) for i in range(COUNT)]
     frames[6] = np.full_like(frames[6], 90)
-    video.encode_clip(path, frames, FPS)
+    encode_clip(path, frames, FPS)
     kept = [0, 3, 5, 8, 11]
 
     def read_clip(source, file, focal, known, options, progress, copies):
