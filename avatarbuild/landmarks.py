@@ -28,6 +28,8 @@ from avatarbuild.template import ARKIT_NAMES
 POINTS = 478
 IRIS_RIGHT = slice(468, 473)  # the subject's right: centre, then the rim to the picture's right, above, left, below
 IRIS_LEFT = slice(473, 478)
+IRISES = (IRIS_LEFT, IRIS_RIGHT)
+TRUSTED_PRESENCE, TRUSTED_YAW = 0.9, 60.0  # from and up to which (degrees) a face tells where the head is
 EYE_CORNERS = (33, 263)  # outer corners: the subject's right eye, left eye
 
 _ZIP = "face_landmarker.task"

@@ -175,7 +175,7 @@ STAGE_OPTIONS: dict[str, type] = {
 
 
 def nearest(word: str, words: list[str]) -> str:
-    """A hint for a misspelt word: ', did you mean X?' or the list of what there is."""
+    """A hint for a misspelt word: "did you mean 'X'?", or the list of what there is."""
     close = difflib.get_close_matches(word, words, n=1, cutoff=0.4)
     return f"did you mean '{close[0]}'?" if close else f"there are: {', '.join(words)}"
 

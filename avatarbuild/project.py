@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from avatarbuild.errors import InputError
+from avatarbuild.options import STAGE_OPTIONS
 from avatarbuild.template_files import SHIPPED, TemplateFile, resolve
 from avatarbuild.whole_file import whole_file
 
@@ -26,18 +27,7 @@ log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 _PARTIAL, _OLD = ".saving-", ".replaced-"
-_STAGE_ORDER = (
-    "capture",
-    "cameras",
-    "points",
-    "neutral",
-    "albedo",
-    "blendshapes",
-    "tracking",
-    "refinement",
-    "details",
-    "avatar",
-)
+_STAGE_ORDER = tuple(STAGE_OPTIONS)
 STAMP_VERSION = 1
 
 
@@ -69,6 +59,7 @@ class Project:
 
     @property
     def log_file(self) -> Path:
+        """What the last runs wrote of themselves."""
         return self.root / "avatarbuild.log"
 
     @property

@@ -114,7 +114,7 @@ class Template:
     landmarks68: np.ndarray
     """(68,) int32 into the 478"""
     feature_edges: np.ndarray
-    """(>= 44, 2) int32 vertex pairs along which skin strain is measured"""
+    """(>= 44, 2) int32 vertex pairs along which skin strains; stage details has its own: details.edges"""
     contours: dict[str, np.ndarray]
     """CONTOUR_NAMES -> polyline of int32 vertices, from the subject's right to left"""
     eye_centres: np.ndarray

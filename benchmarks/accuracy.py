@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
+from scoring import benchmark
 
 from avatarbuild.artefacts import Cameras, Capture
 from avatarbuild.geometry.similarity import similarity
@@ -29,11 +29,10 @@ ROOT = Path(__file__).parent.parent
 
 
 def main() -> None:
-    home = os.environ.get("AVATARBUILD_BENCHMARK")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--capture", type=Path, default=Path(home) / "capture_b" if home else None)
-    parser.add_argument("--truth", type=Path, default=Path(home) / "truth_b" if home else None)
-    parser.add_argument("--scorer", type=Path, default=Path(home) if home else None)
+    parser.add_argument("--capture", type=Path, default=benchmark("capture_b"))
+    parser.add_argument("--truth", type=Path, default=benchmark("truth_b"))
+    parser.add_argument("--scorer", type=Path, default=benchmark())
     parser.add_argument("--project", type=Path)
     parser.add_argument("--set", action="append", default=[])
     parser.add_argument("--iris", action="append", default=[], help="PHOTO:right|left:PIXELS")

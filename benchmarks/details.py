@@ -75,9 +75,6 @@ class Clip:
                 detail[..., c] += part * np.radians(self.noise) / 1.25 * field / field.std()
         return layers(detail)
 
-    def confidence(self, i: int) -> np.ndarray:
-        return self.seen
-
 
 def layers(detail: np.ndarray) -> np.ndarray:
     """(s, s, 4) normal and occlusion of slopes and darkening (s, s, 3)."""
@@ -96,7 +93,7 @@ def trained(clip: Clip, t: Template, **options: float) -> tuple[Synthesis, np.nd
     out = np.arange(2, len(clip.weights), 3)
     kept = np.setdiff1d(np.arange(len(clip.weights)), out)
     vertices = clip.vertices[kept]
-    own, sure = (lambda i: clip.own(kept[i])), (lambda i: clip.confidence(kept[i]))
+    own, sure = (lambda i: clip.own(kept[i])), (lambda _: clip.seen)
     return train(own, sure, vertices, clip.subject.neutral, t, **options), out
 
 
@@ -129,7 +126,7 @@ def speed(t: Template, people: int) -> None:
     clip = Clip(t, chart_of(t, SIDE), FIRST, 3.0, 1.0)
     kept = np.arange(48)
     maps = [clip.own(i) for i in kept]
-    sure = [clip.confidence(i) for i in kept]
+    sure = [clip.seen] * len(kept)
     train(maps[:7], sure[:7], clip.vertices[:7], clip.subject.neutral, t)  # compiles
     start = time.perf_counter()
     made = train(maps, sure, clip.vertices[kept], clip.subject.neutral, t)

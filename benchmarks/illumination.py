@@ -30,6 +30,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import relighting
 
 from avatarbuild.artefacts import Cameras, Capture, Neutral, Views
+from avatarbuild.energies.harmonics import basis
 from avatarbuild.formats.colour import encode_srgb
 from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.geometry.mipmap import build_mipmap
@@ -38,7 +39,7 @@ from avatarbuild.options import AlbedoOptions
 from avatarbuild.registration.eye_white import eye_whites
 from avatarbuild.sfm.metric import Placed, placed_photos
 from avatarbuild.simulation import chart as simulated_chart
-from avatarbuild.simulation.light import harmonic_basis, occlusion, room_light
+from avatarbuild.simulation.light import occlusion, room_light
 from avatarbuild.simulation.skin import paint, random_person
 from avatarbuild.simulation.subject import random_subject
 from avatarbuild.template import Template
@@ -88,7 +89,7 @@ def simulated(seed: int, lights: int) -> tuple[np.ndarray, list[Fused], SimpleNa
         other = np.random.default_rng([k, 9])
         light = room_light(other, np.array([other.choice([-1, 1]) * other.uniform(0.3, 1.0), 0.2, 0.5]))
         hollow = np.maximum(open_, 1e-3)[:, None] ** (0.75 + 0.18 * np.arange(3))
-        lit = np.maximum(harmonic_basis(lean) @ light.harmonics, 0) * hollow
+        lit = np.maximum(basis(lean) @ light.harmonics, 0) * hollow
         lit = chart.field(lit / np.median(lit), template.triangles)
         label = np.where(seen > 0, 0, -1).astype(np.int16)
         colour = (albedo * lit * seen[..., None]).astype(np.float32)

@@ -12,12 +12,11 @@ needs the scorer's open3d).
 from __future__ import annotations
 
 import io
-import os
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scoring import arguments, load_scorer, scored
+from scoring import arguments, benchmark, load_scorer, scored
 
 from avatarbuild import pipeline
 from avatarbuild.artefacts import Albedo, Capture, Performance, Refinement
@@ -38,8 +37,7 @@ AWAY = 0.5  # seconds between what is judged and what taught
 
 def main() -> None:
     parser = arguments(__doc__)
-    home = os.environ.get("AVATARBUILD_BENCHMARK")
-    parser.add_argument("--capture", type=Path, default=Path(home) / "capture_b" if home else None)
+    parser.add_argument("--capture", type=Path, default=benchmark("capture_b"))
     a = scored(parser)
     scorer, template, project = load_scorer(a.scorer), Template.load(), Project(a.project)
     truth = scorer.GT(str(a.truth))

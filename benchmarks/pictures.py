@@ -49,13 +49,13 @@ def main() -> None:
     figure = heads.figure(rig, albedo.albedo, template, 1)
     write(
         a.folder / "avatar.jpg",
-        made(project, figure, model(template, rig, albedo, clip.own_details(project, template)), albedo),
+        made(project, model(template, rig, albedo, clip.own_details(project, template)), albedo),
     )
     write(a.folder / "guide-sweep.jpg", sweep(figure))
     write(a.folder / "guide-faults.jpg", faults(figure))
 
 
-def made(project: Project, figure: heads.Figure, drawn: picture.Model, albedo: artefacts.Albedo) -> np.ndarray:
+def made(project: Project, drawn: picture.Model, albedo: artefacts.Albedo) -> np.ndarray:
     """A photo of the capture, and the avatar: from the left, smiling, frowning, with pursed lips."""
     capture = project.read("capture", artefacts.Capture)
     name = capture.photos.names[capture.frontal]

@@ -21,9 +21,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from avatarbuild.formats.clip import encode_clip
 from avatarbuild.formats.colour import encode_srgb
 from avatarbuild.formats.images import encode_png
-from avatarbuild.formats.video import decode_frames, encode_clip
+from avatarbuild.formats.video import decode_frames
 from avatarbuild.geometry.mipmap import build_mipmap
 from avatarbuild.geometry.raster import rasterise
 from avatarbuild.shading.observation import Seen, View, Watched, watch

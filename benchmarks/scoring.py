@@ -1,4 +1,4 @@
-"""What benchmarks against the scorer of avatars share: where it and the truth lie, and the scorer itself."""
+"""What benchmarks share: where the captures, their truth and the scorer of avatars lie, and the scorer itself."""
 
 from __future__ import annotations
 
@@ -10,13 +10,18 @@ from pathlib import Path
 from types import ModuleType
 
 
+def benchmark(name: str = "") -> Path | None:
+    """The path of `name` in the folder that AVATARBUILD_BENCHMARK names; None where it names none."""
+    home = os.environ.get("AVATARBUILD_BENCHMARK")
+    return Path(home) / name if home else None
+
+
 def arguments(description: str | None) -> argparse.ArgumentParser:
     """PROJECT, --truth and --scorer, by default those of the folder that AVATARBUILD_BENCHMARK names."""
-    home = os.environ.get("AVATARBUILD_BENCHMARK")
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("project", type=Path)
-    parser.add_argument("--truth", type=Path, default=Path(home) / "truth_b" if home else None)
-    parser.add_argument("--scorer", type=Path, default=Path(home) / "score.py" if home else None)
+    parser.add_argument("--truth", type=Path, default=benchmark("truth_b"))
+    parser.add_argument("--scorer", type=Path, default=benchmark("score.py"))
     return parser
 
 
@@ -29,6 +34,7 @@ def scored(parser: argparse.ArgumentParser) -> argparse.Namespace:
 
 
 def load_scorer(path: Path) -> ModuleType:
+    """The scorer's module from its file."""
     spec = importlib.util.spec_from_file_location("scorer", path)
     assert spec is not None
     assert spec.loader is not None

@@ -20,13 +20,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import shutil
 import tempfile
 from pathlib import Path
 
 import numpy as np
 from processes import Cost, run
+from scoring import benchmark
 
 from avatarbuild.capture_folder import CaptureFolder, open_capture
 from avatarbuild.formats.video import open_video
@@ -34,9 +34,8 @@ from avatarbuild.pipeline import NAMES
 
 
 def main() -> None:
-    home = os.environ.get("AVATARBUILD_BENCHMARK")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--capture", type=Path, default=Path(home) / "capture_b" if home else None)
+    parser.add_argument("--capture", type=Path, default=benchmark("capture_b"))
     parser.add_argument("--photos", default="")
     parser.add_argument("--frames", default="")
     parser.add_argument("--texels", default="")

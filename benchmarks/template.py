@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import os
 import subprocess
 import sys
 import tempfile
@@ -25,6 +24,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "templates" / "head")]
 
 import sketch  # noqa: E402
 from parts import eyeball_radius  # noqa: E402
+from scoring import benchmark  # noqa: E402
 
 from avatarbuild.template import ARKIT_NAMES, EYE_PARTS, Template, template_folder  # noqa: E402
 from avatarbuild.template import expression_weights as weights  # noqa: E402
@@ -53,13 +53,13 @@ def random_heads(template: Template, count: int = HEADS) -> np.ndarray:
 
 def fit(template: Template) -> None:
     """Distance of the true neutral's visible face to the template under identity and similarity, point to surface."""
-    folder = os.environ.get("AVATARBUILD_BENCHMARK")
-    if not folder:
+    folder = benchmark("truth_b")
+    if folder is None:
         print("fit: set AVATARBUILD_BENCHMARK to the folder that holds truth_b")
         return
-    with np.load(Path(folder) / "truth_b" / "mesh.npz") as truth:
+    with np.load(folder / "mesh.npz") as truth:
         points, faces, marks = truth["neutral"].astype(float), truth["tri"], truth["lm68"]
-    with np.load(Path(folder) / "truth_b" / "visibility.npz") as seen:
+    with np.load(folder / "visibility.npz") as seen:
         visible = seen["photo_count"] > 0
     target = points[marks]
     nose = target[30]

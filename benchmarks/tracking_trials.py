@@ -20,6 +20,7 @@ import numpy as np
 from avatarbuild.artefacts import Albedo, Blendshapes, Cameras, Capture, Clip, Neutral, Performance, Views
 from avatarbuild.footage import read_clip
 from avatarbuild.formats import video
+from avatarbuild.formats.clip import encode_clip
 from avatarbuild.formats.corrections import Corrections, corrections_bytes, read_corrections
 from avatarbuild.new_footage import identity
 from avatarbuild.options import CaptureOptions, TrackingOptions
@@ -89,14 +90,12 @@ def spoilt(clip: Clip, source: Path, out: Path, seed: int = 0) -> dict[str, list
         if i in hidden:
             return behind_a_hand(rgb, face, (i - hidden[0]) / length)
         if i in gone:
-            return without_the_face(rgb, face, rng)
+            return without_the_face(rgb, rng)
         return shaken(rgb, BLUR * float(np.ptp(face[:, 0])), rng.uniform(0, np.pi)) if i in blurred else rgb
 
     path = out / clip.file
     path.parent.mkdir(parents=True, exist_ok=True)
-    video.encode_clip(
-        path, (picture(i, rgb) for i, _, rgb in video.decode_frames(source / clip.file, range(f))), clip.fps
-    )
+    encode_clip(path, (picture(i, rgb) for i, _, rgb in video.decode_frames(source / clip.file, range(f))), clip.fps)
     return {"blurred": blurred, "hidden": hidden, "gone": gone}
 
 
@@ -125,7 +124,7 @@ def behind_a_hand(rgb: np.ndarray, face: np.ndarray, share: float) -> np.ndarray
     return out
 
 
-def without_the_face(rgb: np.ndarray, face: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def without_the_face(rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """The wall at the picture's edges, where the person was."""
     left, right = rgb[:, :8].mean(axis=1), rgb[:, -8:].mean(axis=1)
     share = np.linspace(0, 1, rgb.shape[1])[None, :, None]

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from processes import CLI, Cost, run
+from scoring import benchmark
 from stages import stage_seconds
 
 from avatarbuild.pipeline import NAMES
@@ -56,11 +57,10 @@ WANTED = {
 
 
 def main() -> None:
-    home = Path(os.environ["AVATARBUILD_BENCHMARK"]) if "AVATARBUILD_BENCHMARK" in os.environ else None
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--capture", type=Path, default=home / "capture_b" if home else None)
+    parser.add_argument("--capture", type=Path, default=benchmark("capture_b"))
     parser.add_argument("--truth", type=Path)
-    parser.add_argument("--scorer", type=Path, default=home / "score.py" if home else None)
+    parser.add_argument("--scorer", type=Path, default=benchmark("score.py"))
     parser.add_argument("--project", type=Path, help="kept; by default a temporary folder")
     parser.add_argument("--quality", default="standard")
     parser.add_argument("--set", action="append", default=[])
@@ -69,8 +69,8 @@ def main() -> None:
     a = parser.parse_args()
     if a.capture is None:
         parser.error("give --capture, or set AVATARBUILD_BENCHMARK")
-    if home and a.truth is None and a.capture == home / "capture_b":
-        a.truth = home / "truth_b"
+    if a.truth is None and a.capture == benchmark("capture_b"):
+        a.truth = benchmark("truth_b")
     with tempfile.TemporaryDirectory() as folder:
         project = a.project or Path(folder) / "whole.avatar"
         words = ["-o", project, "--quality", a.quality, *(word for pair in a.set for word in ("--set", pair))]

@@ -31,10 +31,15 @@ def texture_photos(folder: Path, count: int, seed: int = 0) -> list[Path]:
 
 def benchmark_photo(number: int) -> np.ndarray:
     """(h, w, 3) of a photo of a face; skips the test where there is no benchmark."""
-    root = os.environ.get("AVATARBUILD_BENCHMARK")
-    if not root:
+    return _read(benchmark() / "capture_b" / "photos" / f"IMG_{number:04d}.JPG")
+
+
+def benchmark() -> Path:
+    """The folder that AVATARBUILD_BENCHMARK names; skips the test where it names none."""
+    folder = os.environ.get("AVATARBUILD_BENCHMARK")
+    if not folder:
         pytest.skip("AVATARBUILD_BENCHMARK names no folder with captures of a face")
-    return _read(Path(root) / "capture_b" / "photos" / f"IMG_{number:04d}.JPG")
+    return Path(folder)
 
 
 @cache

@@ -13,9 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import chromium
 from websockets.sync.client import ClientConnection, connect
-
-from tests import chromium
 
 
 class Page:

@@ -5,6 +5,7 @@ synthetic.capture(photos=10, ...)      a simulated capture folder and its truth
 synthetic.truth(folder)                its cameras and mesh
 synthetic.scene(count, size)           pictures of a textured surface with their cameras, no head involved
 synthetic.neutral(seed)                the head of somebody who is not in the template, as stage neutral hands it on
+synthetic.views(names, files, size)    images of which nothing else is known but what is given
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from avatarbuild.artefacts import Neutral
+from avatarbuild.artefacts import Neutral, StoredImage, Views
 from avatarbuild.errors import InputError
 from avatarbuild.geometry.mipmap import build_mipmap
 from avatarbuild.simulation.capture import SimulationOptions, simulate
@@ -153,3 +154,19 @@ def neutral(seed: int) -> Neutral:
         distance=np.where(t.regions["face"], 0.0, np.nan) * np.ones(n),
         eye_texture=disc,
     )
+
+
+def views(
+    names: list[str],
+    files: list[str],
+    size: tuple[int, int],
+    images: list[StoredImage] | None = None,
+    **known: np.ndarray,
+) -> Views:
+    """Images of one size (width, height) and one lens; the fields of Views that are not given are NaN."""
+    k = len(names)
+    shapes = {"white_balance": (2,), "landmarks": (478, 3), "scores": (52,), "pose": (3,)}
+    scalars = ("focal", "time", "sharpness", "exposure", "clipped", "presence")
+    arrays = {name: np.full((k, *shape), np.nan) for name, shape in (shapes | dict.fromkeys(scalars, ())).items()}
+    where = {"size": np.tile(size, (k, 1)), "lens": np.zeros(k, int)}
+    return Views(names=names, files=files, images=images or [], **(where | arrays | known))

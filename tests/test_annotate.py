@@ -12,6 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import devtools
 import jsonschema
 import numpy as np
 import pycolmap
@@ -24,6 +25,7 @@ from test_main import call, one_line
 from avatarbuild import options, pipeline
 from avatarbuild.artefacts import Cameras, Capture, Clip, Files, Neutral, Performance, StoredImage, Views
 from avatarbuild.formats import video
+from avatarbuild.formats.clip import encode_clip
 from avatarbuild.formats.corrections import Corrections, corrections_bytes
 from avatarbuild.formats.images import decode_jpeg, encode_jpeg
 from avatarbuild.geometry import meshes
@@ -51,7 +53,6 @@ from avatarbuild.tracking.markers import Clicks, Markers
 from avatarbuild.tracking.rig import Places, Rig
 from avatarbuild.tracking.subject import kept_frame, score_level
 from avatarbuild.viewer import annotate, annotate_subject, server
-from tests import devtools
 
 PHOTO_SIZE, PHOTO_LENS = (480, 640), Lens(660.0, 0.0, (480, 640))
 YAWS = (-30, -15, 0, 15, 30)
@@ -191,7 +192,7 @@ def fill(root: Path, capture: Capture) -> Project:
     source = root.with_name("film")
     source.mkdir(exist_ok=True)
     if capture.clip is not None and not (source / "film.mp4").exists():
-        video.encode_clip(source / "film.mp4", frame_pictures(), drawn_head.FPS)
+        encode_clip(source / "film.mp4", frame_pictures(), drawn_head.FPS)
     project = Project(root)
     project.root.mkdir()
     made = {"capture": capture, "cameras": cameras_of(), "neutral": neutral_of(), "tracking": tracking_of()}

@@ -54,24 +54,7 @@ OPTIONS = AvatarOptions()
 def views(count: int, folder: str) -> Views:
     """Images of which nothing but names is known."""
     names = [f"IMG_{i:04d}" for i in range(count)]
-    unknown = np.full(count, np.nan)
-    return Views(
-        names=names,
-        files=[f"{folder}/{name}.jpg" for name in names],
-        images=[],
-        size=np.full((count, 2), 100),
-        focal=unknown,
-        lens=np.zeros(count, int),
-        time=unknown,
-        sharpness=unknown,
-        exposure=unknown,
-        white_balance=np.full((count, 2), np.nan),
-        clipped=unknown,
-        landmarks=np.full((count, 478, 3), np.nan),
-        presence=unknown,
-        scores=np.full((count, 52), np.nan),
-        pose=np.full((count, 3), np.nan),
-    )
+    return synthetic.views(names, [f"{folder}/{name}.jpg" for name in names], (100, 100))
 
 
 @cache

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.sparse as sp
+import synthetic
 
 from avatarbuild.artefacts import Blendshapes, Neutral
 from avatarbuild.contacts import Head
@@ -23,7 +24,6 @@ from avatarbuild.solvers.sparse import Factor
 from avatarbuild.stages import blendshapes
 from avatarbuild.template import ARKIT_NAMES, EYE_PARTS, Template
 from avatarbuild.template import expression_weights as weights
-from tests import synthetic
 
 SEEDS = (1, 2, 3, 4, 5)
 SEALED = (

@@ -1,12 +1,12 @@
 """Colour: standards' own numbers, and identities."""
 
 import cv2
+import media
 import numpy as np
 import pytest
 from PIL import Image
 
 from avatarbuild.formats import colour, ycbcr
-from tests import media
 
 
 def test_srgb_curve_by_hand_and_back():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import chromium
 import cv2
 import jsonschema
 import numpy as np
@@ -15,7 +16,6 @@ from avatarbuild.errors import InputError
 from avatarbuild.formats.details import details_files, read_details
 from avatarbuild.formats.images import decode_png
 from avatarbuild.template import Template
-from tests import chromium
 
 ROOT = Path(__file__).resolve().parents[1]
 SIDE, FRAMES = 256, 10

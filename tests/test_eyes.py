@@ -5,9 +5,10 @@ import numpy as np
 import pycolmap
 import pytest
 
+from avatarbuild.landmarks import IRISES
 from avatarbuild.registration.eye_shape import eye_shape
 from avatarbuild.registration.eyes import eyeballs
-from avatarbuild.registration.iris_sightings import IRISES, Photos, iris_sightings
+from avatarbuild.registration.iris_sightings import Photos, iris_sightings
 from avatarbuild.registration.lids import FAR, lid_bands, lid_fit, settle_lids
 from avatarbuild.sfm.metric import Placed
 from avatarbuild.simulation.photographs import look_at

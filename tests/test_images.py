@@ -3,20 +3,20 @@
 import io
 import json
 import math
-import os
 import resource
 import sys
 from pathlib import Path
 
 import cv2
+import media
 import numpy as np
 import OpenImageIO as oiio
 import pytest
+from captures import benchmark
 from PIL import Image
 
 from avatarbuild.errors import InputError
 from avatarbuild.formats import colour, exif, heif, images
-from tests import media
 
 AWKWARD = "Fotos für Zoë 头像/IMG 01 ü"
 
@@ -287,9 +287,7 @@ def test_names():
 @pytest.mark.benchmark
 def test_focal_of_the_benchmark_capture():
     """EXIF's 26 mm by the diagonal rule against the true camera; the 36 mm width rule would be 4 % off."""
-    root = os.environ.get("AVATARBUILD_BENCHMARK")
-    if not root:
-        pytest.skip("AVATARBUILD_BENCHMARK names no folder")
-    true = json.loads((Path(root) / "truth_b/cameras.json").read_text())["photos"]
-    found = images.read_photo(Path(root) / "capture_b/photos/IMG_0001.JPG").facts
+    root = benchmark()
+    true = json.loads((root / "truth_b/cameras.json").read_text())["photos"]
+    found = images.read_photo(root / "capture_b/photos/IMG_0001.JPG").facts
     assert found.focal == pytest.approx(true[0]["K"][0][0], rel=2e-3)

@@ -11,6 +11,7 @@ import cv2
 import media
 import numpy as np
 import pytest
+import synthetic
 from performances import FLIP, nothing
 from test_main import call, one_line, valid
 
@@ -18,6 +19,7 @@ from avatarbuild import main, new_footage, options, pipeline
 from avatarbuild.artefacts import Blendshapes, Performance, Views
 from avatarbuild.errors import InputError
 from avatarbuild.formats import track, video
+from avatarbuild.formats.clip import encode_clip
 from avatarbuild.geometry.mipmap import build_mipmap, sample_texture
 from avatarbuild.geometry.raster import rasterise
 from avatarbuild.geometry.rotations import rotation
@@ -87,24 +89,9 @@ def marks(i: int) -> np.ndarray:
 
 def views(numbers: list[int], shown: bool = True) -> Views:
     k = len(numbers)
-    none = np.full(k, np.nan)
-    return Views(
-        names=[f"{i:06d}" for i in numbers],
-        files=["new.mp4"] * k,
-        images=[],
-        size=np.tile(SIZE, (k, 1)),
-        focal=none,
-        lens=np.zeros(k, int),
-        time=none,
-        sharpness=none,
-        exposure=none,
-        white_balance=np.full((k, 2), np.nan),
-        clipped=none,
-        landmarks=np.array([marks(i) for i in numbers]) if shown else np.full((k, 478, 3), np.nan),
-        presence=np.ones(k) if shown else none,
-        scores=np.zeros((k, 52)),
-        pose=np.zeros((k, 3)),
-    )
+    seen = {"landmarks": np.array([marks(i) for i in numbers]), "presence": np.ones(k)} if shown else {}
+    known = {"scores": np.zeros((k, 52)), "pose": np.zeros((k, 3)), **seen}
+    return synthetic.views([f"{i:06d}" for i in numbers], ["new.mp4"] * k, SIZE, **known)
 
 
 def project() -> dict[str, object]:
@@ -137,7 +124,7 @@ def filmed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "new.mp4"
     frames = [picture(i) for i in range(COUNT)]
     frames[6] = np.full_like(frames[6], 90)
-    video.encode_clip(path, frames, FPS)
+    encode_clip(path, frames, FPS)
     kept = [0, 3, 5, 8, 11]
 
     def read_clip(source, file, focal, known, options, progress, copies):

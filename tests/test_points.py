@@ -7,8 +7,9 @@ import numpy as np
 import pycolmap
 import pytest
 import stereo_scenes as scenes
+import synthetic
 
-from avatarbuild.artefacts import Cameras, Capture, StoredImage, Views
+from avatarbuild.artefacts import Cameras, Capture, StoredImage
 from avatarbuild.errors import InputError
 from avatarbuild.formats import colmap_dense
 from avatarbuild.geometry import patchmatch, stereo_views
@@ -47,11 +48,7 @@ def ball(angles=ANGLES, blur=None, metric=True) -> tuple[Capture, Cameras]:
     k = len(poses)
     names = [f"IMG_{i:04d}" for i in range(k)]
     images = [StoredImage(photograph(p, (blur or {}).get(i, 0.0))) for i, p in enumerate(poses)]
-    nan = lambda *shape: np.full((k, *shape), np.nan)  # noqa: E731
-    views = Views(
-        names, names, images, np.tile(SIZE, (k, 1)), np.full(k, 300.0), np.zeros(k, int), nan(), nan(), nan(), nan(2),
-        nan(), nan(478, 3), nan(), nan(52), nan(3),
-    )  # fmt: skip
+    views = synthetic.views(names, names, SIZE, images, focal=np.full(k, 300.0))
     model = pycolmap.Reconstruction()
     camera = pycolmap.Camera(
         model="SIMPLE_RADIAL", width=SIZE[0], height=SIZE[1], params=[300.0, 144.0, 144.0, K1], camera_id=1
@@ -61,6 +58,13 @@ def ball(angles=ANGLES, blur=None, metric=True) -> tuple[Capture, Cameras]:
         image = pycolmap.Image(name=f"{names[i]}.jpg", camera_id=1, image_id=i + 1)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pycolmap.Rotation3d(R), t))
     return Capture(views, None, -1, np.ones(k, bool), False), Cameras(model, metric, {"source": "none"})
+
+
+def map_bytes(values: np.ndarray) -> bytes:
+    """A map (h, w[, c]) as COLMAP writes it."""
+    h, w = values.shape[:2]
+    planes = np.moveaxis(values.reshape(h, w, -1), -1, 0)
+    return f"{w}&{h}&{len(planes)}&".encode("ascii") + planes.astype("<f4").tobytes()
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -172,14 +176,14 @@ def test_sharpness_falls_with_blur_in_one_direction():
 
 def test_colmap_maps_round_trip_and_read_as_colmap_does(tmp_path):
     values = np.arange(24, dtype=np.float32).reshape(2, 4, 3)
-    data = colmap_dense.map_bytes(values)
+    data = map_bytes(values)
     assert data.startswith(b"4&2&3&")
     assert np.frombuffer(data[6:], "<f4")[:8].tolist() == values[..., 0].ravel().tolist()
     assert np.array_equal(colmap_dense.read_map(data), values)
     for bad in (b"", b"4&2&3&", b"a&b&c&", data[:-1]):
         with pytest.raises(ValueError):
             colmap_dense.read_map(bad)
-    (tmp_path / "d.bin").write_bytes(colmap_dense.map_bytes(values[..., 0]))
+    (tmp_path / "d.bin").write_bytes(map_bytes(values[..., 0]))
     if hasattr(pycolmap, "DepthMap") and hasattr(pycolmap.DepthMap, "read"):
         depth = pycolmap.DepthMap()
         depth.read(str(tmp_path / "d.bin"))
@@ -217,7 +221,7 @@ def test_the_card_backend_fuses_maps_in_colmaps_layout(cloud, monkeypatch):
             normal = np.where(hit[..., None], centre + rays * z[..., None] - MIDDLE, 0.0) / RADIUS @ pose[:, :3].T
             for kind, values in (("depth", z), ("normal", normal)):
                 path = folder / "stereo" / f"{kind}_maps" / f"{image.name}.geometric.bin"
-                path.write_bytes(colmap_dense.map_bytes(values))
+                path.write_bytes(map_bytes(values))
 
     monkeypatch.setattr(colmap_dense, "run_patch_match", true_maps)
     monkeypatch.setattr(points, "card_at_hand", lambda: True)

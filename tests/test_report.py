@@ -81,13 +81,12 @@ def given() -> Given:
             model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
     picture = StoredImage(encode_jpeg(np.full((SIZE[1], SIZE[0], 3), 90, np.uint8), 90))
     pose = np.column_stack([-np.array(YAWS), np.zeros((k, 2))])
-    photos = Views(
-        names=[f"photo {i}" for i in range(k)],
-        files=[f"photos/photo {i}.jpg" for i in range(k)],
-        images=[picture] * k,
-        size=np.tile(SIZE, (k, 1)),
+    photos = synthetic.views(
+        [f"photo {i}" for i in range(k)],
+        [f"photos/photo {i}.jpg" for i in range(k)],
+        SIZE,
+        [picture] * k,
         focal=np.full(k, 420.0),
-        lens=np.zeros(k, int),
         time=np.arange(k, dtype=float),
         sharpness=np.where(np.arange(k) == 2, 0.2, 1.0),
         exposure=np.full(k, 0.2),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import synthetic
 
+from avatarbuild.energies.harmonics import basis
 from avatarbuild.errors import InputError
 from avatarbuild.formats.images import read_photo
 from avatarbuild.formats.video import decode_frames
@@ -13,7 +14,7 @@ from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.geometry.mipmap import build_mipmap
 from avatarbuild.simulation import noise, truth
 from avatarbuild.simulation.capture import SimulationOptions, simulate
-from avatarbuild.simulation.light import Light, _with_harmonics, harmonic_basis, occlusion, room_light
+from avatarbuild.simulation.light import Light, _with_harmonics, occlusion, room_light
 from avatarbuild.simulation.noise import cells, fractal, plane
 from avatarbuild.simulation.performance import perform
 from avatarbuild.simulation.photographs import sweep
@@ -34,15 +35,15 @@ def test_uniform_light_makes_every_white_surface_equally_bright():
     light = constant_light(0.7)
     normals = np.random.default_rng(0).standard_normal((50, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    np.testing.assert_allclose(harmonic_basis(normals) @ light.harmonics, 0.7, atol=2e-3)
+    np.testing.assert_allclose(basis(normals) @ light.harmonics, 0.7, atol=2e-3)
 
 
 def test_a_narrow_lobe_lights_like_a_distant_lamp_within_the_order():
     """A lobe of sharpness k holds 2 pi / k of light; matt surfaces see 2 / k cos, of which order 2 keeps the shape."""
     light = _with_harmonics(UP, np.array([200.0]), np.ones((1, 3)))
-    facing = harmonic_basis(UP) @ light.harmonics
+    facing = basis(UP) @ light.harmonics
     np.testing.assert_allclose(facing, 2 / 200, rtol=0.12)
-    back = harmonic_basis(-UP) @ light.harmonics
+    back = basis(-UP) @ light.harmonics
     assert (np.abs(back) < 0.1 * facing).all()
 
 

@@ -15,6 +15,7 @@ import pytest
 import scipy.io
 import scipy.linalg
 import scipy.sparse as sp
+import synthetic
 
 from avatarbuild import template_commands
 from avatarbuild.artefacts import Neutral
@@ -30,7 +31,6 @@ from avatarbuild.template_import.foreign import ForeignHead, largest_component, 
 from avatarbuild.template_import.safe_pickle import Record, dense, loads
 from avatarbuild.template_import.wrap import Wrap, attach, extension
 from avatarbuild.texture.template_skin import skin_texture
-from tests import synthetic
 
 TURN, SHIFT = scipy.linalg.expm(np.cross(np.eye(3), [0.06, -0.04, 0.03])), np.array([3.0, 40.0, -15.0])
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6]])

@@ -7,6 +7,7 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
+import synthetic
 
 from avatarbuild.artefacts import StoredImage
 from avatarbuild.errors import InputError
@@ -25,7 +26,6 @@ from avatarbuild.texture.gains import photo_gains
 from avatarbuild.texture.photos import Photo, srgb_picture
 from avatarbuild.texture.sampling import grouped, sample
 from avatarbuild.texture.visibility import guard, sight
-from tests import synthetic
 
 SIZE = 256
 

@@ -4,12 +4,13 @@ from fractions import Fraction
 from pathlib import Path
 
 import av
+import media
 import numpy as np
 import pytest
 
 from avatarbuild.errors import InputError
 from avatarbuild.formats import colour, video
-from tests import media
+from avatarbuild.formats.clip import encode_clip
 
 AWKWARD = "Videos für Zoë 头像/MOV 01 ü"
 
@@ -118,7 +119,7 @@ def test_matrices_and_ranges_by_hand(tmp_path):
 @pytest.mark.parametrize("transfer,signal,level", [("HLG", 0.5, 137), ("HLG", 0.75, 243), ("PQ", 0.508078, 186)])
 def test_hdr_clips(tmp_path, transfer, signal, level):
     frames = media.signal_frames(np.full((64, 96, 3), signal), 2)
-    video.encode_clip(tmp_path / "a.mov", frames, 30, codec="hevc", pix_fmt="yuv420p10le", transfer=transfer)
+    encode_clip(tmp_path / "a.mov", frames, 30, codec="hevc", pix_fmt="yuv420p10le", transfer=transfer)
     about = video.open_video(tmp_path / "a.mov")
     assert (about.hdr, about.bits) == (transfer, 10)
     for _, _, rgb in video.decode_frames(tmp_path / "a.mov"):
@@ -133,7 +134,7 @@ def test_hdr_colour_in_bands(tmp_path):
     grid = np.linspace(0, 1, 65536)
     signal = grid[np.searchsorted(colour.scene_from_hlg(grid), scene)]
     frames = media.signal_frames(np.tile(signal, (64, 96, 1)), 2)
-    video.encode_clip(tmp_path / "a.mov", frames, 30, codec="hevc", pix_fmt="yuv420p10le", transfer="HLG", quality=8)
+    encode_clip(tmp_path / "a.mov", frames, 30, codec="hevc", pix_fmt="yuv420p10le", transfer="HLG", quality=8)
     _, _, rgb = next(video.decode_frames(tmp_path / "a.mov"))
     assert np.abs(rgb.reshape(-1, 3).mean(axis=0) - srgb).max() <= 3
 
@@ -151,7 +152,7 @@ def test_indices_are_exact_with_seeking(tmp_path, codec):
     """Sparse frames, by keyframes, are the very frames of a full pass."""
     path = tmp_path / "a.mp4"
     frames = [media.texture(96, 64, seed) for seed in range(60)]
-    video.encode_clip(path, frames, 30, codec=codec, keyframe_every=7)
+    encode_clip(path, frames, 30, codec=codec, keyframe_every=7)
     whole = {i: rgb for i, _, rgb in video.decode_frames(path)}
     assert len(whole) == len(_decoder_times(path)) == 60
     assert len(video.keyframes(path)) >= 8
@@ -191,7 +192,7 @@ def test_open_groups_of_pictures(tmp_path, encoder, options):
 def test_trimmed_clips_count_what_is_shown(tmp_path):
     """Phones trim by an edit list: the keyframe before the cut stays in the file, unseen."""
     whole, trimmed = tmp_path / "a.mp4", tmp_path / "b.mp4"
-    video.encode_clip(whole, [media.texture(96, 64, i) for i in range(30)], 30, keyframe_every=15)
+    encode_clip(whole, [media.texture(96, 64, i) for i in range(30)], 30, keyframe_every=15)
     data = bytearray(whole.read_bytes())
     at = data.find(b"elst") + 16
     start = int.from_bytes(data[at : at + 4], "big") + 10 * 90000 // 30
@@ -310,7 +311,7 @@ def test_a_copy_that_broke_off_gives_what_it_has(tmp_path):
 
 def test_noise_in_the_middle_is_left_out_with_a_warning(tmp_path, caplog):
     path = tmp_path / "a.mp4"
-    video.encode_clip(path, [media.texture(192, 128, i) for i in range(40)], 30, keyframe_every=8)
+    encode_clip(path, [media.texture(192, 128, i) for i in range(40)], 30, keyframe_every=8)
     data = bytearray(path.read_bytes())
     middle = len(data) // 2
     data[middle : middle + 4000] = bytes(4000)

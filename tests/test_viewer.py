@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
+import devtools
 import numpy as np
 import pytest
 import synthetic
@@ -33,7 +34,6 @@ from avatarbuild.report.rendering import View, look
 from avatarbuild.template import EYE_PARTS, expression_weights
 from avatarbuild.viewer import live, scene, server, start
 from avatarbuild.viewer.view import export
-from tests import devtools
 
 READY = "document.documentElement.dataset.state"
 SIZE = 300, 350

@@ -21,7 +21,7 @@ from avatarbuild.errors import InputError
 from avatarbuild.formats.images import decode_jpeg
 from avatarbuild.pipeline import NAMES
 from avatarbuild.project import Project, stage_folder_name
-from avatarbuild.report.html import duration, picture
+from avatarbuild.report.html import duration, picture, style
 
 _THUMB = 200  # pixels wide
 
@@ -134,12 +134,11 @@ def page(made: list[Row], projects: dict[str, Path]) -> bytes:
     """index.html: every subject with its picture, figures, warnings and report; nothing fetched, no script."""
     counts = {state: sum(row.state == state for row in made) for state in ("done", "failed", "unfinished")}
     said = ", ".join(f"{number} {state}" for state, number in counts.items() if number)
-    style = files("avatarbuild.report").joinpath("page.css").read_text(encoding="utf-8")
     own = files("avatarbuild.batch").joinpath("index.css").read_text(encoding="utf-8")
     body = "".join(_card(row, projects[row.subject]) for row in made)
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Avatars</title>'
-        f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{style}{own}</style></head>\n'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{style()}{own}</style></head>\n'
         f'<body><header><h1>Avatars</h1><p class="lead">{len(made)} subjects: {said}. The worst first; '
         f'<a href="summary.csv">summary.csv</a> holds the figures.</p></header><main>{body}</main></body></html>\n'
     ).encode()

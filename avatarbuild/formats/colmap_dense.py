@@ -8,16 +8,10 @@ import cv2
 import numpy as np
 
 
-def map_bytes(values: np.ndarray) -> bytes:
-    """A map (h, w[, c]) as COLMAP keeps it: 'width&height&channels&', float32, x fastest, then y, then channel."""
-    h, w = values.shape[:2]
-    planes = np.moveaxis(values.reshape(h, w, -1), -1, 0)
-    return f"{w}&{h}&{len(planes)}&".encode("ascii") + planes.astype("<f4").tobytes()
-
-
 def read_map(data: bytes) -> np.ndarray:
     """
-    (h, w, c) float32 of a depth map (c = 1) or normal map (c = 3).
+    (h, w, c) float32 of a depth map (c = 1) or normal map (c = 3) in COLMAP's file: 'width&height&channels&', then
+    float32, x fastest, then y, then channel.
 
     Raises ValueError where the bytes are no such map.
     """

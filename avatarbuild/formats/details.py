@@ -17,6 +17,7 @@ import numpy as np
 from avatarbuild.details.synthesis import Keyframes, Synthesis, grid
 from avatarbuild.errors import InputError
 from avatarbuild.formats.images import decode_png, encode_png
+from avatarbuild.formats.rounding import rounded
 from avatarbuild.template import Template
 from avatarbuild.texture.chart import continued
 
@@ -46,17 +47,17 @@ def details_files(made: Synthesis) -> dict[str, bytes]:
         "side": made.side,
         "layers": ["normal_x", "normal_y", "normal_z", "occlusion"],
         "edges": made.edges.tolist(),
-        "rest_mm": _rounded(made.rest, 5),
-        "strain_low": _rounded(made.low, 6),
-        "strain_high": _rounded(made.high, 6),
-        "strain_spread": _rounded(made.spread, 6),
+        "rest_mm": rounded(made.rest, 5),
+        "strain_low": rounded(made.low, 6),
+        "strain_high": rounded(made.high, 6),
+        "strain_spread": rounded(made.spread, 6),
         "beta_per_mm": made.beta,
         "keyframes": [
             {
                 "frame": int(made.keys.rows[k]),
-                "strain": _rounded(made.keys.strain[k], 6),
+                "strain": rounded(made.keys.strain[k], 6),
                 "centre": centre[k],
-                "ends_mm": _rounded(made.keys.ends[k].reshape(-1, 6), 4),
+                "ends_mm": rounded(made.keys.ends[k].reshape(-1, 6), 4),
                 "normal": f"key_{k}_normal.png",
                 "occlusion": f"key_{k}_occlusion.png",
             }
@@ -221,7 +222,3 @@ def _positions(maps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     counts = np.clip(np.round((maps - low[:, None, None]) / step[:, None, None]), 0, 65535).astype(np.int64)
     flat = counts.transpose(1, 0, 2, 3).reshape(p, k * p, 3)
     return low, step, np.concatenate([flat // 256, flat % 256]).astype(np.uint8)
-
-
-def _rounded(values: np.ndarray, digits: int) -> Any:
-    return (np.round(np.asarray(values, np.float64), digits) + 0.0).tolist()

@@ -17,11 +17,12 @@ import numpy as np
 
 from avatarbuild.artefacts import Performance
 from avatarbuild.errors import InputError
+from avatarbuild.formats.avatar_glb import METRES
+from avatarbuild.formats.rounding import rounded
 from avatarbuild.geometry.head_pose import head_angles
 from avatarbuild.template import ARKIT_NAMES
 
 TRACK_VERSION = 1
-_METRES = 1e-3  # a millimetre
 _SWAPPED = {"jawLeft": "jawRight", "jawRight": "jawLeft", "mouthLeft": "mouthRight", "mouthRight": "mouthLeft"}
 CSV_SHAPES = tuple(_SWAPPED.get(name, name) for name in ARKIT_NAMES)  # the order of Live Link Face's own files
 _ANGLES = tuple(f"{part}{angle}" for part in ("Head", "LeftEye", "RightEye") for angle in ("Yaw", "Pitch", "Roll"))
@@ -32,7 +33,7 @@ def poses(performance: Performance) -> np.ndarray:
     """(f, 4, 4): P x takes a point of avatar.glb's scene, metres, to OpenCV camera coordinates in metres."""
     made = np.tile(np.eye(4), (len(performance.times), 1, 1))
     made[:, :3, :3] = performance.rotation
-    made[:, :3, 3] = performance.translation * _METRES
+    made[:, :3, 3] = performance.translation * METRES
     return made
 
 
@@ -50,9 +51,9 @@ def track_json(performance: Performance) -> bytes:
             "dist": [round(performance.k1, 8), 0.0, 0.0, 0.0, 0.0],
         },
     }
-    times, weights = _rounded(performance.times, 6), _rounded(performance.weights, 5)
-    pose, quality = _rounded(poses(performance), 8), _rounded(performance.quality, 4)
-    gaze = _rounded(performance.gaze, 5)
+    times, weights = rounded(performance.times, 6), rounded(performance.weights, 5)
+    pose, quality = rounded(poses(performance), 8), rounded(performance.quality, 4)
+    gaze = rounded(performance.gaze, 5)
     lines = [
         _line(
             {
@@ -99,10 +100,6 @@ def timecode(seconds: float, fps: float) -> str:
         whole, thousandths = whole + 1, 0
     frame, part = divmod(thousandths, 1000)
     return f"{whole // 3600:02d}:{whole // 60 % 60:02d}:{whole % 60:02d}:{frame:02d}.{part:03d}"
-
-
-def _rounded(values: np.ndarray, digits: int) -> Any:
-    return (np.round(np.asarray(values, np.float64), digits) + 0.0).tolist()  # no -0.0
 
 
 def _line(value: dict[str, Any]) -> str:

@@ -21,19 +21,7 @@ import numpy as np
 
 from avatarbuild.errors import InputError
 from avatarbuild.formats import colour
-from avatarbuild.formats.clip import encode_clip
 from avatarbuild.formats.frame import display_turn, square_size, upright_srgb
-
-__all__ = [
-    "VIDEO_SUFFIXES",
-    "VideoFile",
-    "decode_frames",
-    "encode_clip",
-    "frame_times",
-    "is_video",
-    "keyframes",
-    "open_video",
-]
 
 log = logging.getLogger(__name__)
 

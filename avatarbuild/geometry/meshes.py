@@ -26,10 +26,14 @@ def face_areas(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """(n, 3) unit normals, each triangle weighted by its area; zero at a vertex without triangles."""
-    face = face_vectors(vertices, triangles)
-    corners = triangles.ravel()
-    total = np.stack([np.bincount(corners, np.repeat(face[:, k], 3), len(vertices)) for k in range(3)], axis=1)
+    total = corner_sums(face_vectors(vertices, triangles), triangles, len(vertices))
     return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
+
+
+def corner_sums(values: np.ndarray, triangles: np.ndarray, n: int) -> np.ndarray:
+    """(n, 3): at every vertex the sum of values (m, 3) over the triangles that have it as a corner."""
+    corners = triangles.ravel()
+    return np.stack([np.bincount(corners, np.repeat(values[:, k], 3), n) for k in range(3)], axis=1)
 
 
 def vertex_of_uv(triangles: np.ndarray, uv_triangles: np.ndarray, count: int) -> np.ndarray:

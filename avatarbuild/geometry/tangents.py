@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from avatarbuild.geometry.meshes import corner_sums
+
 
 def vertex_tangents(vertices: np.ndarray, normals: np.ndarray, uv: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """
@@ -26,7 +28,7 @@ def vertex_tangents(vertices: np.ndarray, normals: np.ndarray, uv: np.ndarray, t
     along_v = (e2 * d1[:, :1] - e1 * d2[:, :1]) * inverse
     weight = np.linalg.norm(np.cross(e1, e2), axis=1)[:, None]
     n = len(vertices)
-    u, v = (_gathered(_unit(w) * weight, triangles, n) for w in (along_u, along_v))
+    u, v = (corner_sums(_unit(w) * weight, triangles, n) for w in (along_u, along_v))
     t = u - (u * normals).sum(axis=1, keepdims=True) * normals
     lost = np.linalg.norm(t, axis=1) < 1e-9
     helper = np.where(np.abs(normals[:, :1]) < 0.8, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
@@ -34,12 +36,6 @@ def vertex_tangents(vertices: np.ndarray, normals: np.ndarray, uv: np.ndarray, t
     t = _unit(t)
     side = (np.cross(normals, t) * v).sum(axis=1)
     return np.concatenate([t, np.where(side < 0, -1.0, 1.0)[:, None]], axis=1)
-
-
-def _gathered(values: np.ndarray, triangles: np.ndarray, n: int) -> np.ndarray:
-    """(n, 3) sums of the triangles' values (m, 3) over their corners."""
-    corners = triangles.reshape(-1)
-    return np.stack([np.bincount(corners, np.repeat(values[:, k], 3), n) for k in range(3)], axis=1)
 
 
 def _unit(v: np.ndarray) -> np.ndarray:

@@ -10,9 +10,9 @@ import numpy as np
 
 from avatarbuild.geometry.iris import iris_circle
 from avatarbuild.geometry.triangulation import triangulate
+from avatarbuild.landmarks import IRISES
 from avatarbuild.sfm.metric import Placed
 
-IRISES = (slice(473, 478), slice(468, 473))  # left, right: middle, then four points of the rim
 MOST_TURNED = 40.0  # degrees of yaw up to which an iris's rim is looked for
 MOST_PHOTOS = 12
 _LEAST_SHOWN = 0.6  # share of the angles at which the rim must show

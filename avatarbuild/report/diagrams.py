@@ -10,11 +10,10 @@ import cv2
 import numpy as np
 
 from avatarbuild.artefacts import Cameras, Capture, Neutral, Performance
-from avatarbuild.landmarks import face_size
+from avatarbuild.landmarks import TRUSTED_PRESENCE, TRUSTED_YAW, face_size
 from avatarbuild.report.overlay import Shot
 from avatarbuild.template import ARKIT_NAMES, Template
 
-TRUSTED_PRESENCE, TRUSTED_YAW = 0.9, 60.0
 _SOFT, _BLURRED = 1.25, 1.6  # times the usual blur
 _YAW, _PITCH = 95.0, 45.0  # degrees at the coverage plot's edges
 _BIN = 15.0  # degrees of yaw that need a photo each

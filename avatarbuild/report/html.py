@@ -5,12 +5,18 @@ from __future__ import annotations
 import base64
 import re
 from html import escape
+from importlib.resources import files
 
 import numpy as np
 
 from avatarbuild.formats.images import encode_jpeg
 
 _QUALITY = 84
+
+
+def style() -> str:
+    """The style sheet of every page."""
+    return files("avatarbuild.report").joinpath("page.css").read_text(encoding="utf-8")
 
 
 def section(key: str, title: str, content: str) -> str:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from html import escape
-from importlib.resources import files
 from typing import Any
 
 from avatarbuild.artefacts import Albedo, Blendshapes, Cameras, Capture, Cloud, Details, Neutral, Performance
 from avatarbuild.parallel import each_alone
 from avatarbuild.report import heads, overlay, sections, words
-from avatarbuild.report.html import duration, paragraph, picture, row
+from avatarbuild.report.html import duration, paragraph, picture, row, style
 from avatarbuild.report.performance import performance_section
 from avatarbuild.report.rendering import View
 from avatarbuild.report.wrinkles import wrinkles_section
@@ -76,11 +75,10 @@ def page(
         lambda: _closing(stages, template),
     ]
     body = list(each_alone(lambda make: make(), parts, ahead=len(parts)))
-    style = files("avatarbuild.report").joinpath("page.css").read_text(encoding="utf-8")
     head = (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Avatar report</title>'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<style>{style}</style></head>\n<body>"
+        f"<style>{style()}</style></head>\n<body>"
     )
     return (head + "\n".join(body) + "</body></html>\n").encode()
 

@@ -11,9 +11,9 @@ import pycolmap
 from avatarbuild.geometry.iris import iris_circle
 from avatarbuild.geometry.similarity import similarity
 from avatarbuild.geometry.triangulation import triangulate
+from avatarbuild.landmarks import IRIS_LEFT, IRIS_RIGHT
 
 IRIS_SPREAD = 0.5  # mm: standard deviation of the iris diameter among adults
-_IRISES = (slice(468, 473), slice(473, 478))  # right, left: middle, then the rim's right, top, left, bottom
 _IRIS_DEPTH = 10.4  # mm from an eyeball's centre to the plane of its iris
 _EYE_TO_LENS = 35.0  # degrees of yaw up to which an iris is measured
 _LEAST_SHOWN = 0.6  # share of the angles at which the rim must show
@@ -98,7 +98,7 @@ def iris_size(
         photo = int(placed.index[p])
         picture = grey(photo)
         camera = placed.cameras[p]
-        for side, iris in zip(("right", "left"), _IRISES):
+        for side, iris in (("right", IRIS_RIGHT), ("left", IRIS_LEFT)):
             marks = landmarks[photo, iris, :2]
             radius = float(np.linalg.norm(marks[1] - marks[3])) / 2
             if radius < _LEAST_RADIUS:

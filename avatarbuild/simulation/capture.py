@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from avatarbuild.errors import InputError
-from avatarbuild.formats.video import encode_clip
+from avatarbuild.formats.clip import encode_clip
 from avatarbuild.options import option
 from avatarbuild.progress import Progress, Silent
 from avatarbuild.simulation import truth

@@ -12,13 +12,15 @@ import numpy as np
 import trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
+from avatarbuild.energies.harmonics import basis
+from avatarbuild.texture.occlusion import frames
+
 
 @dataclass(frozen=True)
 class Light:
     """
     L(d) = sum_k colour_k exp(sharpness_k (d . direction_k - 1)): directions (k, 3) unit, sharpness (k,),
-    colours (k, 3);
-    harmonics (9, 3): y above.
+    colours (k, 3); harmonics (9, 3): y above.
     """
 
     directions: np.ndarray
@@ -42,12 +44,6 @@ class Light:
     def scaled(self, factor: float) -> Light:
         """The light, `factor` times as bright."""
         return Light(self.directions, self.sharpness, self.colours * factor, self.harmonics * factor)
-
-
-def harmonic_basis(normals: np.ndarray) -> np.ndarray:
-    """phi(n): (…, 9) of unit normals (…, 3)."""
-    x, y, z = np.moveaxis(normals, -1, 0)
-    return np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x - y * y, 3 * z * z - 1], axis=-1)
 
 
 def room_light(rng: np.random.Generator, towards_window: np.ndarray) -> Light:
@@ -92,7 +88,7 @@ def occlusion(
     k = np.arange(rays) + 0.5
     radius, golden = np.sqrt(k / rays), k * (np.pi * (3 - np.sqrt(5)))
     turn = (np.arange(len(points)) * 2.399963) % (2 * np.pi)
-    tangent, bitangent = _frames(normals)
+    tangent, bitangent = frames(normals)
     count, mean = np.zeros(len(points)), np.zeros((len(points), 3))
     for i in range(rays):
         angle = golden[i] + turn
@@ -103,14 +99,6 @@ def occlusion(
         mean += free[:, None] * d
     mean = mean + 0.05 * normals
     return count / rays, mean / np.linalg.norm(mean, axis=1, keepdims=True)
-
-
-def _frames(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors (n, 3) each across the normals."""
-    helper = np.where(np.abs(normals[:, :1]) < 0.8, [[1.0, 0, 0]], [[0, 1.0, 0]])
-    tangent = np.cross(helper, normals)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    return tangent, np.cross(normals, tangent)
 
 
 def _sphere(h: int) -> np.ndarray:
@@ -130,5 +118,5 @@ def _with_harmonics(directions: np.ndarray, sharpness: np.ndarray, colours: np.n
     flat, weight = d.reshape(-1, 3), area.reshape(-1)
     normals, root = flat[::3], np.sqrt(weight[::3])[:, None]
     matt = np.maximum(normals @ flat.T, 0) @ (light.radiance(flat) * weight[:, None]) / np.pi
-    y = np.linalg.lstsq(harmonic_basis(normals) * root, matt * root, rcond=None)[0]
+    y = np.linalg.lstsq(basis(normals) * root, matt * root, rcond=None)[0]
     return Light(unit, sharpness, colours, y)

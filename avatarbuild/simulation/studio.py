@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from avatarbuild.geometry.meshes import vertex_normals
+from avatarbuild.energies.harmonics import basis
+from avatarbuild.geometry.meshes import corner_sums, vertex_normals
 from avatarbuild.geometry.mipmap import Mipmap, build_mipmap
 from avatarbuild.simulation import wrinkles as folding
 from avatarbuild.simulation.chart import Chart, chart_of
-from avatarbuild.simulation.light import Light, harmonic_basis, occlusion, room_light
+from avatarbuild.simulation.light import Light, occlusion, room_light
 from avatarbuild.simulation.rendering import Lit, Skin
 from avatarbuild.simulation.room import Surroundings, furnished_room
 from avatarbuild.simulation.skin import Surface, paint, random_person
@@ -140,7 +141,7 @@ def drawn_triangles(subject: Subject) -> np.ndarray:
 def surroundings(studio: Studio, light: Light) -> Lit:
     """The room under a light: the window shines, corners are dim, what is near the window is brighter."""
     room = studio.room
-    matt = np.maximum(harmonic_basis(room.normals) @ light.harmonics, 0.03)
+    matt = np.maximum(basis(room.normals) @ light.harmonics, 0.03)
     low, high = room.vertices.min(axis=0), room.vertices.max(axis=0)
     walls = np.stack([room.vertices - low, high - room.vertices], axis=-1)
     # A wall does not darken itself: only distances along the surface count.
@@ -195,13 +196,7 @@ def vertex_tangents(vertices: np.ndarray, template: Template) -> np.ndarray:
     p, q, r = np.moveaxis(template.uv[template.uv_triangles], 1, 0)
     along = (b - a) * (r - p)[:, 1:] - (c - a) * (q - p)[:, 1:]
     handed = np.sign((q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0])
-    return _gathered(along * handed[:, None], template.triangles, len(vertices))
-
-
-def _gathered(per_face: np.ndarray, triangles: np.ndarray, n: int) -> np.ndarray:
-    total = np.stack(
-        [np.bincount(triangles.reshape(-1), np.repeat(per_face[:, c], 3), minlength=n) for c in range(3)], axis=1
-    )
+    total = corner_sums(along * handed[:, None], template.triangles, len(vertices))
     return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
 
 

@@ -12,7 +12,7 @@ import pycolmap
 
 from avatarbuild.artefacts import Cameras, Capture
 from avatarbuild.errors import InputError
-from avatarbuild.landmarks import canonical_face
+from avatarbuild.landmarks import TRUSTED_PRESENCE, TRUSTED_YAW, canonical_face
 from avatarbuild.options import CamerasOptions
 from avatarbuild.parallel import in_order
 from avatarbuild.progress import Progress
@@ -29,7 +29,6 @@ ENOUGH = 0.8
 DEFAULT_FOCAL = 1.2  # times the longer side, COLMAP's own guess where nothing is known
 SHORTEST_FOCAL = 0.35  # times the longer side: phones have no shorter lens, whatever a header claims
 OFF = 0.1  # of the focal length that was claimed: further off is worth a warning
-TRUSTED_PRESENCE, TRUSTED_YAW = 0.9, 60.0
 
 
 def run(capture: Capture, options: CamerasOptions, progress: Progress) -> Cameras:

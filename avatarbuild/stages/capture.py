@@ -13,6 +13,7 @@ from avatarbuild.artefacts import Capture, Clip
 from avatarbuild.capture_folder import CaptureFolder, open_capture
 from avatarbuild.errors import InputError
 from avatarbuild.footage import read_clip
+from avatarbuild.judgement import MIN_PHOTOS
 from avatarbuild.options import CaptureOptions
 from avatarbuild.progress import Progress
 from avatarbuild.survey import (
@@ -24,8 +25,6 @@ from avatarbuild.survey import (
 )
 
 log = logging.getLogger(__name__)
-
-MIN_PHOTOS = 8
 
 
 def run(source: Path, options: CaptureOptions, progress: Progress) -> Capture:

@@ -48,7 +48,7 @@ def millimetres(vertices: np.ndarray, source: str) -> float:
     )
 
 
-def components(vertex_count: int, triangles: np.ndarray) -> np.ndarray:
+def _components(vertex_count: int, triangles: np.ndarray) -> np.ndarray:
     """(v,) int: the connected component of every vertex."""
     edges = triangles[:, [0, 1, 1, 2]].reshape(-1, 2)
     graph = sp.coo_matrix((np.ones(len(edges)), edges.T), shape=(vertex_count, vertex_count))
@@ -57,6 +57,6 @@ def components(vertex_count: int, triangles: np.ndarray) -> np.ndarray:
 
 def largest_component(vertex_count: int, triangles: np.ndarray) -> np.ndarray:
     """(m,) bool: the triangles of the component with most vertices: the skin, without eyeballs."""
-    label = components(vertex_count, triangles)
+    label = _components(vertex_count, triangles)
     used = np.bincount(label[np.unique(triangles)])
     return label[triangles[:, 0]] == used.argmax()

@@ -227,9 +227,7 @@ def _counterparts(moved, triangles, mean, outer, outward, border, reach) -> tupl
 
 def _outward(start, triangles, mean, outer) -> np.ndarray:
     """(m, 3) unit normals of the foreign skin, turned as a whole to agree with the shipped head's."""
-    a, b, c = (mean[outer[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    normals = meshes.face_normals(mean, outer)
     _, face, apart = attach(start, mean, outer)
     agree = np.einsum("ij,ij->i", meshes.vertex_normals(start, triangles), normals[face])
     return normals if np.median(agree[apart <= np.median(apart)]) >= 0 else -normals
@@ -237,11 +235,7 @@ def _outward(start, triangles, mean, outer) -> np.ndarray:
 
 def _folded(rest: np.ndarray, moved: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """(n,) bool: corners of triangles that turned by more than about 70 degrees."""
-    normals = []
-    for vertices in (rest, moved):
-        a, b, c = (vertices[triangles[:, k]] for k in range(3))
-        normal = np.cross(b - a, c - a)
-        normals.append(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
+    normals = [meshes.face_normals(vertices, triangles) for vertices in (rest, moved)]
     folded = np.zeros(len(rest), bool)
     folded[triangles[np.einsum("ij,ij->i", *normals) < LEAST_UPRIGHT]] = True
     return folded

@@ -63,7 +63,7 @@ def complete(
     weight = _weight(seen, skin, hidden > 0.5, soft, scale)
     out = skin_texture.astype(np.float32, copy=True)
     if (weight > 0.5).any():
-        u = _offset(albedo, weight, skin, skin_texture, template, scale)
+        u = _offset(albedo, weight, skin_texture, template, scale)
         rows, columns = np.nonzero(skin & (weight < 1))
         at = (rows, columns)
         fine = _laid_out(albedo, weight, skin, hidden, scale)
@@ -124,7 +124,7 @@ def _weight(seen: np.ndarray, skin: np.ndarray, hidden: np.ndarray, soft: np.nda
 
 
 def _offset(
-    albedo: np.ndarray, weight: np.ndarray, skin: np.ndarray, texture: np.ndarray, template: Template, scale: float
+    albedo: np.ndarray, weight: np.ndarray, texture: np.ndarray, template: Template, scale: float
 ) -> np.ndarray:
     """u (s, s, 3) float32 of the module's docstring."""
     size = albedo.shape[0]

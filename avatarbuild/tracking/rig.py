@@ -40,6 +40,7 @@ class Rig:
     triangles: np.ndarray
 
     def rider(self, places: Places) -> Rider:
+        """Points of the surface that move with the shapes: at rest, and by how much at weight 1 of each."""
         corners = self.triangles[places.triangle]
         moves = np.empty((len(corners), 3, len(self.deltas)))
         for j, delta in enumerate(self.deltas):

@@ -55,7 +55,7 @@ def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
 
 
-def paint(template, iris: dict[str, np.ndarray] | None = None) -> np.ndarray:
+def paint(template) -> np.ndarray:
     """(n, 3) colours by part and region of a template (anything with mean, parts, regions, eye_centres)."""
     colours = np.tile(np.array(SKIN), (len(template.mean), 1))
     mouth = template.regions["mouth"] & ~template.regions["face"]
