@@ -12,7 +12,6 @@ from test_kill import ROOT, contents
 
 from avatarbuild.batch.subject import one_share
 
-
 MATCHING = """
 import sys
 import numpy as np
