@@ -88,8 +88,10 @@ class _Lines:
         if now - self.told < 10:
             return
         self.told = now
-        left = (now - self.started) * max(self.total - self.done, 0) / max(self.done, 1e-9)
-        screen.print(f"  {self.label}: {100 * self.done / self.total:.0f} %, about {left:.0f} s left")
+        share = self.done / self.total
+        left = (now - self.started) * max(1 - share, 0) / max(share, 1e-9)
+        estimate = f", about {left:.0f} s left" if share >= 0.03 else ""  # the first step may compile kernels
+        screen.print(f"  {self.label}: {100 * share:.0f} %{estimate}")
 
 
 def _settings(pairs: list[str]) -> dict[str, str]:

@@ -468,7 +468,7 @@ def test_board_reads_where_a_run_is(tmp_path: Path) -> None:
 def eight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Eight small rendered captures with a video."""
     folder = tmp_path_factory.mktemp("eight")
-    size = {"photos": 16, "photo_width": 480, "video_seconds": 2.0, "video_width": 360, "texture": 512}
+    size = {"photos": 22, "photo_width": 540, "video_seconds": 2.0, "video_width": 360, "texture": 512}
     words = [word for name, value in size.items() for word in ("--set", f"{name}={value}")]
     for seed in range(1, 9):
         place = folder / "captures" / f"seed{seed}"
