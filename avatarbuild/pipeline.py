@@ -64,7 +64,7 @@ STAGES = (
         ("capture", "cameras", "points", "neutral"),
         artefacts.Albedo,
         options.AlbedoOptions,
-        5,
+        6,
         "the skin's colour without the light",
     ),
     Stage(
@@ -80,7 +80,7 @@ STAGES = (
         ("capture", "cameras", "neutral", "albedo", "blendshapes"),
         artefacts.Performance,
         options.TrackingOptions,
-        7,
+        8,
         "the performance in the video, and the person's own expressions",
         watches=True,
         corrected="video",

@@ -12,7 +12,7 @@ import pytest
 
 from avatarbuild.template import Template
 from avatarbuild.texture import completion, template_skin
-from avatarbuild.texture.chart import draw_chart
+from avatarbuild.texture.chart import draw_chart, seam_ties
 
 SIZE = 512
 SKIN = np.array([0.24, 0.13, 0.085])
@@ -76,6 +76,23 @@ def test_unseen_specks_on_lids_are_filled_from_beside_them() -> None:
     assert known[row, column] == 1
     assert any(np.array_equal(filled[row, column], colour) for colour in around)
     assert not albedo[row, column].any()
+
+
+def test_fine_parts_pass_the_seam_without_a_step() -> None:
+    s = scene()
+    ties = seam_ties(s.template, s.chart)
+    noise = np.random.default_rng(1).standard_normal((SIZE, SIZE)).astype(np.float32)
+    before = cv2.GaussianBlur(noise, (0, 0), 1.5)
+    after = before.copy()
+    completion._mix_across(after, ties, s.chart.part == 1, 6.0)
+
+    def step(fine: np.ndarray) -> float:
+        return float(np.abs(np.diff(fine.reshape(-1)[ties], axis=1)).mean())
+
+    assert step(after) < 0.5 * step(before)
+    changed = after != before
+    assert 0.8 < after[changed].std() / before[changed].std() < 1.15
+    assert np.array_equal(after[s.chart.part != 1], before[s.chart.part != 1])
 
 
 def test_nothing_is_left_empty() -> None:

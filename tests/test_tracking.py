@@ -331,35 +331,52 @@ def test_gaze_of_irises_on_the_eyeballs() -> None:
     assert named["eyeLookOutLeft"] == pytest.approx(0.3 / np.radians(t.eye_rotations["eyeLookOutLeft"].degrees))
 
 
-def looking(wanted: np.ndarray, lies: np.ndarray, rims: np.ndarray) -> Tracked:
-    """A frame whose irises look `wanted` (2, 2) at a pose that the detector alone tells by 0.1 rad too low."""
+def looking(wanted: np.ndarray, lies: np.ndarray, rims: np.ndarray, wrong: float = np.nan) -> Tracked:
+    """
+    A frame whose irises look `wanted` (2, 2) at a pose that the detector alone tells by 0.1 rad too low; where their
+    rims (2,) are not seen they seem to look elsewhere, with circles of `wrong` mm.
+    """
     t, s = template(), state(np.zeros(A))
     yaw, pitch = (wanted + np.where(rims[:, None], 0, lies)).T
     ahead = np.stack([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)], axis=1)
     irises = LENS.project((t.eye_centres + 10.4 * ahead) @ s.R.T + s.t)[0]
+    depth = (t.eye_centres @ s.R.T + s.t)[:, 2]
+    radii = np.where(rims, 6.0, wrong) * LENS.focal / depth
     nodding = replace(s, R=rotation(np.array([0.1, 0.0, 0.0])) @ s.R)
-    return Tracked(frame_of(face(), nodding), nodding, [], 1.0, irises, rims, np.full((2, 2), np.nan))
+    return Tracked(frame_of(face(), nodding), nodding, [], 1.0, irises, radii, np.full((2, 2), np.nan))
 
 
 def test_gaze_is_that_of_the_final_pose_and_of_the_eye_whose_rim_is_seen() -> None:
     f, t = face(), template()
     both, left = np.ones(2, bool), np.array([True, False])
     wrong = np.full((2, 2), 0.3)
-    clip = [looking(np.zeros((2, 2)), wrong, both)] * 4
+    clip = [looking(np.zeros((2, 2)), wrong, both)] * 6
     clip += [looking(np.full((2, 2), 0.1), wrong, rims) for rims in (both, left, ~both)]
-    eyes = Eyes(t.eye_centres, np.full(2, 12.0), np.zeros((2, 2)), np.full(2, np.nan), np.zeros(2, bool))
+    clip += [looking(np.full((2, 2), 0.1), wrong, left, radius) for radius in (4.5, 6.7)]
+    unknown = np.full(2, np.nan)
+    eyes = Eyes(t.eye_centres, np.full(2, 12.0), np.zeros((2, 2)), unknown, unknown, np.zeros(2, bool))
     placed = [replace(one, state=state(np.zeros(A))) for one in clip]
     eyes = looking_ahead(f, placed, eyes)
     assert eyes.by_rims.all()
-    rest, seen, one_eye, none = (regard(f, placed[i], t, eyes) for i in (0, 4, 5, 6))
+    rest, seen, one_eye, none = (regard(f, placed[i], t, eyes) for i in (0, 6, 7, 8))
     np.testing.assert_allclose(rest.gaze, 0, atol=1e-3)
     np.testing.assert_allclose(seen.gaze, 0.1, atol=1e-3)
     np.testing.assert_allclose(one_eye.gaze, 0.1, atol=1e-3)
     assert np.isnan(none.gaze).all()
+    for i in (9, 10):  # a circle that is not the iris
+        np.testing.assert_allclose(regard(f, placed[i], t, eyes).gaze, 0.1, atol=1e-3)
     up = t.expression_index["eyeLookUpLeft"]
     assert one_eye.frame.low[up] == one_eye.frame.high[up] == one_eye.state.weights[up] > 0.1
-    early = regard(f, clip[4], t, replace(eyes, rest=np.zeros((2, 2))))
+    early = regard(f, clip[6], t, replace(eyes, rest=np.zeros((2, 2))))
     assert np.abs(early.gaze[:, 1] - 0.1).min() > 0.05
+
+
+def test_a_shut_eye_is_not_wide_open() -> None:
+    t, one = template(), looking(np.zeros((2, 2)), np.zeros((2, 2)), np.ones(2, bool))
+    one = replace(one, frame=replace(one.frame, shown=np.array([0.0, 0.3])))
+    eyes = Eyes(t.eye_centres, np.full(2, 12.0), np.zeros((2, 2)), np.full(2, 0.3), np.full(2, 6.0), np.ones(2, bool))
+    high = regard(face(), one, t, eyes).frame.high
+    assert [high[t.expression_index[f"eyeWide{side}"]] for side in ("Left", "Right")] == [0, 1]
 
 
 def test_gaze_is_held_through_a_blink() -> None:

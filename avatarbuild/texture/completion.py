@@ -6,7 +6,7 @@ In the logarithm of the albedo, r = log albedo where it was seen, t = log of the
 
 u is smooth and found on a coarse grid, with ties across the seams; w in [0, 1] how far a texel was seen; u_0 the
 median difference in colour; h the fine part of the person's own skin, cut from where it was seen best and laid out in
-overlapping pieces whose weights keep its variance.
+overlapping pieces whose weights keep its variance, and so do those of its mirror image from across a seam.
 
 Sources: Perez, Gangnet, Blake, Poisson image editing, 2003; Heitz, Neyret, High-performance by-example noise using a
 histogram-preserving blending operator, 2018 (variance-preserving blending).
@@ -34,6 +34,7 @@ _STRANGE = 0.003  # of that weight have brows, lids and lips
 _CONTRAST = 1.2  # log: the offset differs from its typical value by no more
 _FINE = 1.6  # mm: standard deviation of the blur that what is finer is cut off by
 _PIECE = 22.0  # mm: side of the pieces of skin that are laid out
+_ACROSS = 2.0  # mm on both sides of a seam in which their fine parts mix
 _SEED = 17
 _LEAST = 0.004  # linear: colours are bounded from below before their logarithm is taken
 
@@ -67,6 +68,7 @@ def complete(
         rows, columns = np.nonzero(skin & (weight < 1))
         at = (rows, columns)
         fine = _laid_out(albedo, weight, skin, hidden, scale)
+        _mix_across(fine, seam_ties(template, chart), skin, _ACROSS * scale)
         w = weight[at][:, None]
         # mouth and sockets keep the template's own contrast: no pores there
         rough = fine[at][:, None] * (1 - np.clip(2 * hidden[at], 0, 1))[:, None]
@@ -201,6 +203,32 @@ def _laid_out(albedo: np.ndarray, weight: np.ndarray, skin: np.ndarray, hidden: 
             out[r0:r1, c0:c1] += (window * piece)[cut]
             power[r0:r1, c0:c1] += (window * window)[cut]
     return out / np.sqrt(np.maximum(power, 1e-6))
+
+
+def _mix_across(fine: np.ndarray, ties: np.ndarray, skin: np.ndarray, reach: float) -> None:
+    """
+    fine (s, s), in place, without a step across the seams between the texels ties (l, 2), flat, of skin (s, s) bool:
+    h'(d) = cos(a) h(d) + sin(a) h_other(d), a = pi/4 (1 - d / reach), with h_other as far inside on the other side.
+    """
+    if not len(ties):
+        return
+    size = fine.shape[0]
+    row, column = np.divmod(np.concatenate([ties[:, 0], ties[:, 1]]), size)
+    other_row, other_column = np.divmod(np.concatenate([ties[:, 1], ties[:, 0]]), size)
+    rim = np.ones((size, size), np.uint8)
+    rim[row, column] = 0
+    distance, label = cv2.distanceTransformWithLabels(rim, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    tie_of = np.zeros(int(label.max()) + 1, np.int64)
+    tie_of[label[row, column]] = np.arange(len(row))
+    at = np.nonzero(skin & (distance < reach))
+    tie, d = tie_of[label[at]], distance[at]
+    inside = cv2.GaussianBlur(cv2.distanceTransform(skin.astype(np.uint8), cv2.DIST_L2, 5), (0, 0), 2.0)
+    slope = np.stack([cv2.Sobel(inside, cv2.CV_32F, *way)[other_row, other_column] for way in ((1, 0), (0, 1))], axis=1)
+    slope /= np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-9)
+    place = np.stack([other_column, other_row], axis=1)[tie] + d[:, None] * slope[tie]
+    place = np.clip(np.rint(place), 0, size - 1).astype(np.int64)
+    angle = np.pi / 4 * (1 - d / reach)
+    fine[at] = np.cos(angle) * fine[at] + np.sin(angle) * fine[place[:, 1], place[:, 0]]
 
 
 def _best_square(fine: np.ndarray, weight: np.ndarray, hidden: np.ndarray, side: int) -> np.ndarray | None:

@@ -33,6 +33,7 @@ ROUND_LEVELS = ((), (1,), (1, 0))  # of the pyramid for equation (6), round by r
 _STEPS = 3
 BLINKS = [ARKIT_NAMES.index(name) for name in ("eyeBlinkLeft", "eyeBlinkRight")]
 _DOWNS = [ARKIT_NAMES.index(name) for name in ("eyeLookDownLeft", "eyeLookDownRight")]
+_WIDES = [ARKIT_NAMES.index(name) for name in ("eyeWideLeft", "eyeWideRight")]
 _MOSTLY = 0.5  # of the frames
 _SURE = 0.6  # quality from which a frame may tell about the lens
 _LENS_FRAMES = 6
@@ -54,22 +55,25 @@ class Skin:
 class Eyes:
     """
     centres (2, 3) and radius (2,) mm of the eyeballs; rest (2, 2) radians, yaw and pitch of each eye's usual gaze, from
-    which the eyeLook shapes count; opened (2,) how much of them shows when they are open, NaN unknown; by_rims (2,)
-    bool: the clip mostly shows the iris' rim, so that frames without it tell nothing of where that eye looks.
+    which the eyeLook shapes count; opened (2,) how much of them shows when they are open, NaN unknown; iris (2,) mm the
+    radii of the irises, NaN unknown; by_rims (2,) bool: the clip mostly shows the iris' rim, so that frames without it
+    tell nothing of where that eye looks.
     """
 
     centres: np.ndarray
     radius: np.ndarray
     rest: np.ndarray
     opened: np.ndarray
+    iris: np.ndarray
     by_rims: np.ndarray
 
 
 @dataclass(frozen=True)
 class Tracked:
     """
-    A frame as it was tracked: its state, its points, its quality in 0..1; the middles of the irises (2, 2) pixels and
-    whether these are by their rims (2,); gaze (2, 2) radians, the eyes' turn from their rest, NaN unknown.
+    A frame as it was tracked: its state, its points, its quality in 0..1; irises (2, 2) and rims (2,) pixels, their
+    middles and the radii of their rims, NaN where none is seen; gaze (2, 2) radians, the eyes' turn from their rest,
+    NaN unknown.
     """
 
     frame: Frame
@@ -124,6 +128,7 @@ def regard(face: Face, one: Tracked, template: Template, eyes: Eyes) -> Tracked:
     fixed[BLINKS] = known
     held[BLINKS] = shut = np.where(known, shut, 0.0)
     low, high = np.where(fixed, held, 0.0), np.where(fixed, held, 1.0)
+    high[_WIDES] = 1 - shut
     state = replace(one.state, weights=np.clip(one.state.weights, low, high))
     return replace(one, frame=replace(frame, low=low, high=high, shut=shut), state=state, gaze=turned)
 
@@ -132,16 +137,21 @@ def _looking(face: Face, one: Tracked, eyes: Eyes) -> np.ndarray:
     """(2, 2) where each eye looks, NaN where that is not to be believed."""
     state = one.state
     angles = gaze.gaze(one.irises, eyes.centres, eyes.radius, face.lens, state.R, state.t)
-    angles[eyes.by_rims & ~one.rims] = np.nan
+    seen = gaze.believed(gaze.at_eye(one.rims, eyes.centres, face.lens, state.R, state.t), eyes.iris)
+    angles[eyes.by_rims & ~seen] = np.nan
     return angles
 
 
 def looking_ahead(face: Face, tracked: list[Tracked], eyes: Eyes) -> Eyes:
     """
-    The eyes with their rest: the median of the clip's gaze. The detector's irises lie off by degrees, in a way of each
-    face's own, and who is filmed mostly looks ahead, with open eyes.
+    The eyes with their rest, the median of the clip's gaze, and what open eyes show. The detector's irises lie off by
+    degrees, in a way of each face's own, and who is filmed mostly looks ahead, with open eyes.
     """
-    eyes = replace(eyes, by_rims=np.mean([one.rims for one in tracked], axis=0) >= _MOSTLY)
+    lens, c = face.lens, eyes.centres
+    radii = np.array([gaze.at_eye(one.rims, c, lens, one.state.R, one.state.t) for one in tracked])
+    by_rims = np.isfinite(radii).mean(axis=0) >= _MOSTLY
+    usual = [np.median(found[np.isfinite(found)]) if k else np.nan for found, k in zip(radii.T, by_rims, strict=True)]
+    eyes = replace(eyes, by_rims=by_rims, iris=np.array(usual))
     rest = np.nan_to_num(np.nanmedian([_looking(face, one, eyes) for one in tracked], axis=0))
     return replace(eyes, rest=rest, opened=lids.usually_open(np.array([one.frame.shown for one in tracked])))
 

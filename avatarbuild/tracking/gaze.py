@@ -16,16 +16,17 @@ _IRIS_DEPTH = 10.4 / 12  # of the eyeball's radius: from its centre to the plane
 _SIDES = ("Left", "Right")
 _LEAST_RADIUS = 5.0  # pixels
 _ROOM = 4.0  # radii about the iris that its rim is looked for in
-_LEAST_SHOWN = 0.4  # of the angles that lids leave free
-_ALIKE = 0.25  # how far the rim's radius may be from the detector's
+_LEAST_SHOWN = 0.5  # of the angles that lids leave free
+_LEAST_ALIKE, _MOST_ALIKE = 0.85, 1.05  # an iris' radius by its rim over the person's; turned aside it looks smaller
 
 
 def irises(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
     """
-    (2, 2) pixels: the middles of the left and right iris, and (2,) bool whether by their rims in the frame; else they
-    are the detector's, which sees an eye look aside, but hardly up or down, and errs by ten degrees where lids move.
+    (2, 2) pixels: the middles of the left and right iris, and (2,) the radii of their rims, NaN where the frame shows
+    none: the middle is the detector's then, which sees an eye look aside, but hardly up or down, and errs by ten
+    degrees where lids move.
     """
-    out, rims = np.empty((2, 2)), np.zeros(2, bool)
+    out, radii = np.empty((2, 2)), np.full(2, np.nan)
     for side, middle in enumerate(_IRISES):
         mark, rim = frame.marks[middle, :2], frame.marks[[middle + 1, middle + 3], :2]
         radius = float(np.linalg.norm(rim[0] - rim[1])) / 2
@@ -38,9 +39,20 @@ def irises(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
                 continue
             picture = 255 * np.maximum(np.exp(window) - DARK, 0) ** (1 / 2.2)
             found, size, shown = iris_circle(picture, mark - frame.corner - low, radius)
-            if shown >= _LEAST_SHOWN and abs(size / radius - 1) < _ALIKE:
-                out[side], rims[side] = found + frame.corner + low, True
-    return out, rims
+            if shown >= _LEAST_SHOWN:
+                out[side], radii[side] = found + frame.corner + low, size
+    return out, radii
+
+
+def at_eye(radii: np.ndarray, centres: np.ndarray, lens: Lens, R: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """(2,) mm: radii (2,) pixels of what lies at the distance of the eyeballs' centres (2, 3)."""
+    return radii * (centres @ R.T + t)[:, 2] / lens.focal
+
+
+def believed(radii: np.ndarray, usual: np.ndarray) -> np.ndarray:
+    """(2,) bool: irises' radii mm that are the person's, `usual` mm; a lid's edge or a fold makes another circle."""
+    with np.errstate(invalid="ignore"):
+        return (radii > _LEAST_ALIKE * usual) & (radii < _MOST_ALIKE * usual)
 
 
 def gaze(

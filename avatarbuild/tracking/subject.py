@@ -67,7 +67,8 @@ def subject(
     )
     face = face_of(rig, lens, points, levels, template.triangles[part], tuple(limits_of(template).items()))
     unknown = np.full(2, np.nan)
-    return face, skin, Eyes(neutral.eye_centres, neutral.eye_radius, np.zeros((2, 2)), unknown, np.zeros(2, bool))
+    rest, by_rims = np.zeros((2, 2)), np.zeros(2, bool)
+    return face, skin, Eyes(neutral.eye_centres, neutral.eye_radius, rest, unknown, unknown, by_rims)
 
 
 def said(views: Views) -> np.ndarray:
