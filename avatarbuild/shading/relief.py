@@ -33,6 +33,7 @@ from avatarbuild.tracking.lens import Lens
 
 _DARK = 0.25  # of the mean light: below it, errors count absolutely
 _OUTLIER = 1.5  # of the logarithm of light: what is off by more is shadow or hair, not relief
+_NOISE = 0.05  # of the logarithm of light: what pores and the picture's noise make
 _RIM = 5  # pixels of the face's border that are no evidence
 _STEEP = 0.15
 _OPEN = 0.3, 1.3  # what is believed of 1 - k H d
@@ -47,6 +48,7 @@ class ReliefWeights:
     scatter   mm: standard deviation of B
     hollow    k, 1/mm;  reach  mm: standard deviation of G
     sharp     slope at which the two smoothness terms turn from squares to l1 (iteratively reweighted); 0: squares
+    apart     mm that frame and albedo may lie apart: what a mark's border shows then is no light
     rounds    of Gauss–Newton;  steps of conjugate gradients in each
     """
 
@@ -58,13 +60,14 @@ class ReliefWeights:
     hollow: float = 0.0
     reach: float = 1.2
     sharp: float = 0.0
+    apart: float = 0.0
     rounds: int = 3
     steps: int = 40
 
 
 MEDIUM = ReliefWeights(light=3.0, small=0.01, slope=0.3, bend=1.0, scatter=0.0)
 """For the refinement of shapes: what a mesh of a few millimetres' spacing can follow; scattered light is finer."""
-FINE = ReliefWeights(light=0.3, small=0.005, slope=0.1, bend=0.1, hollow=1.0)
+FINE = ReliefWeights(light=0.3, small=0.005, slope=0.1, bend=0.1, hollow=1.0, apart=0.1)
 """For detail maps."""
 
 
@@ -90,6 +93,9 @@ def relief(drawn: Drawn, seen: np.ndarray, light: Light, lens: Lens, w: ReliefWe
     off = np.log(seen / light.shade(drawn.normal))
     inner = cv2.erode(drawn.on.astype(np.uint8), np.ones((_RIM, _RIM), np.uint8))
     sure = inner / (1 + (off / _OUTLIER) ** 2)
+    if w.apart:
+        steep = np.hypot(np.gradient(drawn.tone, axis=0), np.gradient(drawn.tone, axis=1)) / ways.pixel
+        sure = sure / (1 + (w.apart * steep / _NOISE) ** 2)
     share = 1 / np.maximum(seen, _DARK) * on
     beside_x, beside_y = np.zeros_like(on), np.zeros_like(on)
     beside_x[:, :-1] = np.minimum(sure[:, 1:], sure[:, :-1])
