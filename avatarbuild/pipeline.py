@@ -98,7 +98,7 @@ STAGES = (
         ("capture", "albedo", "tracking", "refinement"),
         artefacts.Details,
         options.DetailsOptions,
-        2,
+        3,
         "wrinkles that follow the expression",
         watches=True,
     ),

@@ -48,6 +48,7 @@ FIRST = 3000  # seed of the first person
 SIZE = (540, 960)
 TEXTURE = 2048
 PIXEL = 1  # frame pixels of one of the relief's: 0.7 mm, as in stage details
+BESIDE = 14  # pixels from a mole to the plain skin that is measured like it
 SHARP = 0.1  # slope of the l1
 SCATTER = 0.8  # mm: how far light goes in the skin
 MISPLACED, WOBBLE = 0.3, 0.3  # mm: the albedo against the skin, the tracked mesh against the face
@@ -179,7 +180,7 @@ def painted(head: Head, seed: int) -> tuple[np.ndarray, Head]:
 
 def moles(t: Template, people: int, frames: int) -> None:
     for name, light in (("soft light from the front", soft_light()), ("a room's light", None)):
-        bumps, rough, without = [], [], []
+        bumps, rough, without, beside = [], [], [], []
         for person in range(people):
             face = Face(t, FIRST + person, frames, light, flat=True)
             marks = _nearest(face.marks)
@@ -189,13 +190,17 @@ def moles(t: Template, people: int, frames: int) -> None:
                 told, smooth = _stand_out(found.d, label, one.drawn.on)
                 bumps += told
                 rough.append(smooth)
+                moved = np.roll(np.maximum(label, 0), BESIDE, axis=1)
+                moved = np.where((label == 0) & one.drawn.on, moved, -1)
+                beside += _stand_out(found.d, moved, one.drawn.on)[0]
                 without += _stand_out(face.relief(one, FINE, shared=False).d, label, one.drawn.on)[0]
-        b, w = np.abs(bumps), np.abs(without)
+        b, w, plain = np.abs(bumps), np.abs(without), np.abs(beside)
         stubble, skin = np.mean(rough, axis=0)
         print(
             f"moles: {name}, {people} people, {len(b)} moles in frames: mean, 95 %, most "
             f"{b.mean():.3f}, {np.quantile(b, 0.95):.3f}, {b.max():.3f} mm (without what frames share "
-            f"{w.mean():.3f}, {np.quantile(w, 0.95):.3f}, {w.max():.3f}); "
+            f"{w.mean():.3f}, {np.quantile(w, 0.95):.3f}, {w.max():.3f}; on plain skin beside them "
+            f"{plain.mean():.3f}, {np.quantile(plain, 0.95):.3f}, {plain.max():.3f}); "
             f"roughness under stubble {stubble:.3f} mm, on smooth skin {skin:.3f}"
         )
 

@@ -156,6 +156,19 @@ def test_a_mole_that_all_frames_show_is_skin_and_no_bump() -> None:
     assert high[0] < 0.1 < high[1]
 
 
+def test_a_mark_that_lies_aside_of_the_albedos_is_no_bump() -> None:
+    drawn = wall()
+    mole = np.zeros(LENS.size[::-1], np.float32)
+    cv2.circle(mole, (48, 64), 4, -1.0, -1)
+    tone = cv2.GaussianBlur(mole, (0, 0), 0.8)
+    aside = np.roll(tone, 1, axis=1)  # half a millimetre
+    fine = ReliefWeights(light=0.3, small=5e-3, slope=0.1, bend=0.1, hollow=1.0)
+    marked = replace(drawn, tone=tone)
+    seen = LIGHT.shade(drawn.normal) * np.exp(aside - tone)
+    taken, left = (np.abs(relief(marked, seen, LIGHT, LENS, replace(fine, apart=k)).d).max() for k in (0.0, 0.1))
+    assert left < 0.75 * taken
+
+
 def test_shapes_follow_depth_maps() -> None:
     template = synthetic.template()
     subject = random_subject(template, np.random.default_rng(4))

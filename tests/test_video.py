@@ -350,3 +350,17 @@ def test_names():
     assert video.is_video(Path("MOV_1.MOV"))
     assert not video.is_video(Path("._MOV_1.MOV"))
     assert not video.is_video(Path("a.jpg"))
+
+
+@pytest.mark.parametrize("codec", ["h264", "hevc"])
+def test_the_same_frames_give_the_same_bytes(tmp_path: Path, codec: str) -> None:
+    """Whatever lay in the memory before, and for rows whose length is no multiple of 64."""
+    rng = np.random.default_rng(0)
+    blocks = np.kron(rng.integers(0, 255, (20, 33, 3)), np.ones((16, 16, 1)))
+    frames = [np.clip(blocks + rng.integers(-8, 8, blocks.shape) + k, 0, 255).astype(np.uint8) for k in range(10)]
+    made, junk = set(), []
+    for i in range(6):
+        junk = [*junk[-2:], rng.integers(0, 255, 1_000_000 * (i + 1), np.uint8)]
+        encode_clip(tmp_path / "a.mp4", frames, 10, codec=codec, quality=19)
+        made.add((tmp_path / "a.mp4").read_bytes())
+    assert len(made) == 1

@@ -68,7 +68,9 @@ def encode_clip(
 
 def _encoder_options(codec: str, quality: int, keyframe_every: int) -> dict[str, str]:
     if codec == "h264":
-        return {"crf": str(quality), "g": str(keyframe_every), "threads": "1", "preset": "veryfast"}
+        # x264's macroblock tree reads beyond rows that are no multiple of 64 long: now and then other bytes
+        steady = {"threads": "1", "mbtree": "0"}
+        return {"crf": str(quality), "g": str(keyframe_every), "preset": "veryfast", **steady}
     # no B-frames: x265 leaves the decoding times of clips shorter than its look-ahead unset
     still = "bframes=0:log-level=none:pools=none:frame-threads=1:no-info=1"
     return {"preset": "veryfast", "x265-params": f"crf={quality}:keyint={keyframe_every}:{still}"}

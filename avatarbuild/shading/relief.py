@@ -34,6 +34,7 @@ from avatarbuild.tracking.lens import Lens
 _DARK = 0.25  # of the mean light: below it, errors count absolutely
 _OUTLIER = 1.5  # of the logarithm of light: what is off by more is shadow or hair, not relief
 _NOISE = 0.05  # of the logarithm of light: what pores and the picture's noise make
+_MARK = 0.5  # mm about a mark's border that go with it
 _RIM = 5  # pixels of the face's border that are no evidence
 _STEEP = 0.15
 _OPEN = 0.3, 1.3  # what is believed of 1 - k H d
@@ -94,8 +95,9 @@ def relief(drawn: Drawn, seen: np.ndarray, light: Light, lens: Lens, w: ReliefWe
     inner = cv2.erode(drawn.on.astype(np.uint8), np.ones((_RIM, _RIM), np.uint8))
     sure = inner / (1 + (off / _OUTLIER) ** 2)
     if w.apart:
-        steep = np.hypot(np.gradient(drawn.tone, axis=0), np.gradient(drawn.tone, axis=1)) / ways.pixel
-        sure = sure / (1 + (w.apart * steep / _NOISE) ** 2)
+        square = np.gradient(drawn.tone, axis=0) ** 2 + np.gradient(drawn.tone, axis=1) ** 2
+        steep = cv2.GaussianBlur(square, (0, 0), max(_MARK / ways.pixel, 0.3)) / ways.pixel**2
+        sure = sure / (1 + (w.apart / _NOISE) ** 2 * steep)
     share = 1 / np.maximum(seen, _DARK) * on
     beside_x, beside_y = np.zeros_like(on), np.zeros_like(on)
     beside_x[:, :-1] = np.minimum(sure[:, 1:], sure[:, :-1])

@@ -223,9 +223,9 @@ def _mix_across(fine: np.ndarray, ties: np.ndarray, skin: np.ndarray, reach: flo
     at = np.nonzero(skin & (distance < reach))
     tie, d = tie_of[label[at]], distance[at]
     inside = cv2.GaussianBlur(cv2.distanceTransform(skin.astype(np.uint8), cv2.DIST_L2, 5), (0, 0), 2.0)
-    slope = np.stack([cv2.Sobel(inside, cv2.CV_32F, *way)[other_row, other_column] for way in ((1, 0), (0, 1))], axis=1)
-    slope /= np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-9)
-    place = np.stack([other_column, other_row], axis=1)[tie] + d[:, None] * slope[tie]
+    ways = [cv2.Sobel(inside, cv2.CV_32F, *way)[other_row, other_column] for way in ((1, 0), (0, 1))]
+    inwards = np.stack(ways, axis=1) / np.maximum(np.hypot(*ways), 1e-9)[:, None]
+    place = np.stack([other_column, other_row], axis=1)[tie] + d[:, None] * inwards[tie]
     place = np.clip(np.rint(place), 0, size - 1).astype(np.int64)
     angle = np.pi / 4 * (1 - d / reach)
     fine[at] = np.cos(angle) * fine[at] + np.sin(angle) * fine[place[:, 1], place[:, 0]]
