@@ -19,6 +19,13 @@ from avatarbuild.geometry import meshes
 from avatarbuild.solvers.sparse import Factor
 from avatarbuild.template import EYE_PARTS, Template
 
+TOGETHER = (
+    ("cheekSquint", "eyeSquint"),
+    ("cheekSquint", "mouthSmile"),
+    ("eyeSquint", "mouthSmile"),
+    ("cheekSquint", "eyeSquint", "mouthSmile"),
+)
+"""Shapes of a side that act together in a smile, and whose sum must not let the eyeball through the skin below it."""
 STILL = 1e-7  # mm: less is no motion
 LIMITS = (
     ("lid_gap_mm", 0.3, "closed lids are {} mm off their place on the eyeballs: look at eyeBlink"),
@@ -105,6 +112,16 @@ class Contacts:
                 laid = lid_contact.lay_on(lids.band, rest, rest + delta, lids.own, pose, lids.source)
                 delta = np.where(moving[:, None], laid - rest, 0)
         return delta
+
+    def clear_eyes(self, deltas: np.ndarray) -> None:
+        """deltas (e, n, 3), in place, with the skin about the eyes before the eyeballs in every sum of TOGETHER's."""
+        t, rest, skin = self.template, self.person.vertices[self.skin], self.skin
+        for lids in self.lids:
+            side = ("Left", "Right")[lids.side]
+            for names in TOGETHER:
+                rows = [t.expression_index[name + side] for name in names if name + side in t.expression_index]
+                moving = np.linalg.norm(t.expressions[rows][:, skin], axis=2) > STILL
+                deltas[rows, skin] = lid_contact.lifted(lids.band, rest, deltas[rows, skin], moving, lids.own)
 
     def cover_teeth(self, delta: np.ndarray, pose: np.ndarray) -> np.ndarray:
         """delta (n, 3) with lips and cheeks off the teeth that stand out farther than in the template's pose (n, 3)."""

@@ -72,7 +72,7 @@ STAGES = (
         ("neutral",),
         artefacts.Blendshapes,
         options.BlendshapesOptions,
-        1,
+        2,
         "the 52 expressions on this head",
     ),
     Stage(

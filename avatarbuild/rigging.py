@@ -70,7 +70,9 @@ def keep(t: Template, person: Head, deltas: np.ndarray) -> tuple[np.ndarray, dic
     for j in range(len(posed)):
         if j not in limits:
             posed[j, skin] = contacts.lay_lids(j, posed[j, skin])
-    return finish(t, contacts, poses, posed, cover=True)
+    shapes, figures = finish(t, contacts, poses, posed, cover=True)
+    contacts.clear_eyes(shapes)
+    return shapes, figures
 
 
 def finish(

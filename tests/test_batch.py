@@ -228,10 +228,16 @@ def test_claims(tmp_path: Path) -> None:
     taken.release()
     assert not list(tmp_path.glob("me.avatar.*"))
 
-    # this host's, whose process is gone
+
+@pytest.mark.parametrize("waited_for", [True, False])
+def test_a_claim_whose_process_has_ended_is_taken_over(tmp_path: Path, waited_for: bool) -> None:
+    """Also where nobody has waited for it, as in a container whose first process does not."""
     gone = subprocess.Popen([sys.executable, "-c", ""])
     born = psutil.Process(gone.pid).create_time()
-    gone.wait()
+    if waited_for:
+        gone.wait()
+    while psutil.pid_exists(gone.pid) and psutil.Process(gone.pid).status() != psutil.STATUS_ZOMBIE:
+        time.sleep(0.05)
     (tmp_path / "me.avatar.0").write_text(
         json.dumps({"host": socket.gethostname(), "process": [gone.pid, born], "batch": "x"})
     )

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 import synthetic
 
 from avatarbuild.artefacts import Blendshapes, Neutral
-from avatarbuild.contacts import Head
+from avatarbuild.contacts import TOGETHER, Contacts, Head
 from avatarbuild.energies.deformation_transfer import displacement_gradients, gradient_rows, transfer_system
 from avatarbuild.energies.jaw import Rigid, affine, carried, jaw_motion, rigid
 from avatarbuild.errors import InputError
@@ -226,6 +226,32 @@ def test_contacts_hold(seed: int) -> None:
     assert made.figures["lips_off_mm"] <= 0.3
     assert made.figures["teeth_out_mm"] <= 0.3
     assert not made.warnings
+
+
+def least_clearance(head: Head, shapes: np.ndarray, names: tuple[str, ...], side: int) -> float:
+    """mm that the skin about an eye is before the eyeball in the sum of shapes (e, n, 3), the contact line left out."""
+    t = synthetic.template()
+    lids = Contacts(t, head).lids[side]
+    ids = lids.band.vertices[lids.band.ring > lids.band.touch]
+    rows = [t.expression_index[name + ("Left", "Right")[side]] for name in names]
+    clear, direction = lids.own.clearance(head.vertices[ids] + shapes[rows][:, ids].sum(axis=0))
+    return float(clear[direction @ lids.own.gaze > 0.2].min())
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_eyeballs_stay_behind_the_skin_in_a_hearty_smile(side: int) -> None:
+    t = synthetic.template()
+    head, shapes = Head(t.mean, t.eye_centres), t.expressions.copy()
+    assert min(least_clearance(head, shapes, names, side) for names in TOGETHER) < -0.3
+    Contacts(t, head).clear_eyes(shapes)
+    for names in (*TOGETHER, ("cheekSquint",), ("eyeSquint",)):
+        assert least_clearance(head, shapes, names, side) > 0.05
+    moved = {
+        ARKIT_NAMES[j].removesuffix("Left").removesuffix("Right")
+        for j in np.flatnonzero(np.abs(shapes - t.expressions).max(axis=(1, 2)) > 0)
+    }
+    assert moved <= {"cheekSquint", "eyeSquint", "mouthSmile"}
+    assert np.abs(shapes - t.expressions).max() < 1.0
 
 
 def frontal(vertices: np.ndarray, centre: np.ndarray) -> np.ndarray:

@@ -122,8 +122,9 @@ def _told(path: Path) -> dict:
 
 
 def _process(number: int) -> list[float] | None:
-    """[number, when it began]: numbers are given again."""
+    """[number, when it began], since numbers are given again; None where it has ended, waited for or not."""
     try:
-        return [number, psutil.Process(number).create_time()]
+        process = psutil.Process(number)
+        return None if process.status() == psutil.STATUS_ZOMBIE else [number, process.create_time()]
     except psutil.Error:
         return None

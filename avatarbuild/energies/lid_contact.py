@@ -23,6 +23,7 @@ FRONT = 0.2  # cosine to the gaze of what lies before the eye
 SKIN = 0.4  # mm of skin over the eye at least, where the source has so much
 CLEAR = 0.1  # mm that a lid passes over the eye on its straight way, where the source's does so
 WAY = (0.25, 0.5, 0.75)
+_LIFTS, _SPREAD = 12, 60  # times that skin is lifted, each smoothed by so many means of neighbours
 CLOSED = 0.5  # share of the upper edge that passes the lower one in a shape that closes the eye
 
 
@@ -161,6 +162,31 @@ def lay_on(
     out[ids] += (wanted - now)[:, None] * direction
     if source.closes:
         out[ids] = _bulged(band, rest[ids], out[ids], eye, k * source.way)
+    return out
+
+
+def lifted(band: LidBand, rest: np.ndarray, deltas: np.ndarray, moving: np.ndarray, eye: Eye) -> np.ndarray:
+    """
+    Shapes deltas (k, n, 3) of a head rest (n, 3) whose sum keeps the skin about the lids before the eye: where it is
+    nearer to it than CLEAR, and than half of what it is at rest, it is lifted by l, the smallest l >= lack that is at
+    least the mean of its neighbours', and each shape takes its share of l by how far it moves the skin inwards there.
+
+    moving (k, n) bool: where the shapes may move at all.
+    """
+    out = deltas.copy()
+    ids, free = band.vertices, (band.ring > band.touch) & (band.ring < REACH)
+    least = np.minimum(CLEAR, 0.5 * eye.clearance(rest[ids])[0])
+    for _ in range(_LIFTS):
+        clear, direction = eye.clearance(rest[ids] + out[:, ids].sum(axis=0))
+        lack = np.where(free & (direction @ eye.gaze > FRONT), np.maximum(least - clear, 0), 0)
+        if lack.max() <= 0:
+            break
+        lift = lack
+        for _ in range(_SPREAD):
+            lift = np.where(free, np.maximum(lack, band.average @ lift), 0)
+        inwards = np.maximum(-np.einsum("kbx,bx->kb", out[:, ids], direction), 1e-6) * moving[:, ids]
+        share = inwards / np.maximum(inwards.sum(axis=0), 1e-9)
+        out[:, ids] += (share * lift)[..., None] * direction
     return out
 
 

@@ -40,6 +40,8 @@ def run(neutral: Neutral, options: BlendshapesOptions, progress: Progress, templ
     person, size, turn = in_template_s_frame(t, neutral.vertices, neutral.eye_centres)
     with progress.task("expressions", len(t.expressions)) as task:
         deltas, figures = transferred(t, person, options, task)
+    if options.contacts:
+        Contacts(t, person).clear_eyes(deltas)
     figures = {key: round(size * value, 3) for key, value in figures.items()}
     log.info("52 expressions: %s", ", ".join(f"{key} {value}" for key, value in figures.items()))
     warnings = [sentence.format(figures[key]) for key, limit, sentence in LIMITS if figures.get(key, 0) > limit]
