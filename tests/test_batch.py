@@ -252,6 +252,19 @@ def test_a_claim_whose_process_has_ended_is_taken_over(tmp_path: Path, waited_fo
     assert [path.name for path in tmp_path.glob("me.avatar.*")] == ["me.avatar.0"]
 
 
+def test_the_file_system_s_clock_is_read_by_many_threads_at_once(tmp_path: Path) -> None:
+    times: list[float] = []
+    threads = [
+        threading.Thread(target=lambda: times.extend(claims._now(tmp_path) for _ in range(200))) for _ in range(8)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(times) == 1600
+    assert not list(tmp_path.iterdir())
+
+
 def test_two_batches_share_the_work(tmp_path: Path, imitation: Path) -> None:
     folder = made_up(tmp_path / "in", **{f"s{number}": "sleep 0.5" for number in range(3)})
     threads = [

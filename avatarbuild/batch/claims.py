@@ -14,6 +14,7 @@ import contextlib
 import json
 import os
 import socket
+import threading
 import time
 from pathlib import Path
 
@@ -105,7 +106,7 @@ def _alive(path: Path) -> bool:
 
 def _now(folder: Path) -> float:
     """The time of the file system's clock: hosts' clocks differ."""
-    probe = folder / f".clock-{socket.gethostname()}-{os.getpid()}"
+    probe = folder / f".clock-{socket.gethostname()}-{os.getpid()}-{threading.get_ident()}"
     probe.touch()
     try:
         return probe.stat().st_mtime
