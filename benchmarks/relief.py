@@ -48,6 +48,7 @@ FIRST = 3000  # seed of the first person
 SIZE = (540, 960)
 TEXTURE = 2048
 PIXEL = 1  # frame pixels of one of the relief's: 0.7 mm, as in stage details
+BLACK = 0.02  # of the face's median
 BESIDE = 14  # pixels from a mole to the plain skin that is measured like it
 SHARP = 0.1  # slope of the l1
 SCATTER = 0.8  # mm: how far light goes in the skin
@@ -185,7 +186,7 @@ def moles(t: Template, people: int, frames: int) -> None:
             face = Face(t, FIRST + person, frames, light, flat=True)
             marks = _nearest(face.marks)
             for one in face.watched.frames:
-                label = marks(one)
+                label = np.where(_whole(one), marks(one), 0)
                 found = face.relief(one, FINE)
                 told, smooth = _stand_out(found.d, label, one.drawn.on)
                 bumps += told
@@ -203,6 +204,12 @@ def moles(t: Template, people: int, frames: int) -> None:
             f"{plain.mean():.3f}, {np.quantile(plain, 0.95):.3f}, {plain.max():.3f}); "
             f"roughness under stubble {stubble:.3f} mm, on smooth skin {skin:.3f}"
         )
+
+
+def _whole(one: Seen) -> np.ndarray:
+    """(h, w) bool: BESIDE pixels and more from where the picture is black: an eyeball rendered through squinting lids."""
+    black = (one.drawn.on & (one.grey < BLACK * np.median(one.grey[one.drawn.on]))).astype(np.uint8)
+    return cv2.dilate(black, np.ones((2 * BESIDE + 1,) * 2, np.uint8)) == 0
 
 
 def _nearest(marks: np.ndarray) -> Callable[[Seen], np.ndarray]:
