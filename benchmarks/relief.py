@@ -207,7 +207,7 @@ def moles(t: Template, people: int, frames: int) -> None:
 
 
 def _whole(one: Seen) -> np.ndarray:
-    """(h, w) bool: BESIDE pixels and more from where the picture is black: an eyeball rendered through squinting lids."""
+    """(h, w) bool: BESIDE pixels or more from where the picture is black, an eyeball rendered through the skin."""
     black = (one.drawn.on & (one.grey < BLACK * np.median(one.grey[one.drawn.on]))).astype(np.uint8)
     return cv2.dilate(black, np.ones((2 * BESIDE + 1,) * 2, np.uint8)) == 0
 
