@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from avatarbuild.energies import harmonics
+from avatarbuild.formats.light import read_light, write_light
 from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.registration.eye_painting import WHITE
 from avatarbuild.solvers import smooth_field
@@ -338,3 +340,12 @@ def test_it_repeats() -> None:
     one, two = factored(fused), factored(fused)
     assert np.array_equal(one.albedo, two.albedo)
     assert np.array_equal(one.harmonics, two.harmonics)
+
+
+def test_a_damaged_light_is_told(tmp_path: Path) -> None:
+    write_light(tmp_path, np.zeros((9, 3)), np.ones(3), np.ones((2, 3)))
+    whole = (tmp_path / "light.npz").read_bytes()
+    for damaged in (whole[:200], b"no archive", whole[:100] + bytes(len(whole) - 100)):
+        (tmp_path / "light.npz").write_bytes(damaged)
+        with pytest.raises((ValueError, KeyError)):
+            read_light(tmp_path)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -17,5 +19,8 @@ def write_light(folder: Path, harmonics: np.ndarray, skin_colour: np.ndarray, ga
 
 def read_light(folder: Path) -> dict[str, np.ndarray]:
     """What `write_light` wrote, by name. Raises OSError, KeyError or ValueError where it is missing or damaged."""
-    with np.load(folder / _NAME) as arrays:
-        return {name: arrays[name] for name in ("harmonics", "skin_colour", "gains")}
+    try:
+        with np.load(folder / _NAME) as arrays:
+            return {name: arrays[name] for name in ("harmonics", "skin_colour", "gains")}
+    except (zipfile.BadZipFile, zlib.error, EOFError) as error:
+        raise ValueError(f"{folder / _NAME} is damaged: {error}") from None
