@@ -128,7 +128,7 @@ def test_a_corrupt_video_is_left_out(tmp_path: Path) -> None:
 
 def test_a_video_without_a_face_is_not_used(tmp_path: Path) -> None:
     texture_photos(tmp_path, 8)
-    encode_clip(tmp_path / "wall.mp4", [texture(64, 64, seed=1)] * 20, fps=10)
+    encode_clip(tmp_path / "wall.mp4", [texture(64, 64, seed=2)] * 20, fps=10)
     capture = run(tmp_path, OPTIONS, Silent())
     assert capture.clip is None
     assert [w for w in capture.warnings if "wall.mp4 shows a face in 0 of" in w]
