@@ -25,7 +25,8 @@ from avatarbuild.tracking import alternation, full_rate
 from avatarbuild.tracking.fit import Weights
 from avatarbuild.tracking.full_rate import Sightings
 from avatarbuild.tracking.lens import Lens
-from avatarbuild.tracking.subject import SHAPES, kept_frame, said, score_level, subject
+from avatarbuild.tracking.neck import SHAPES
+from avatarbuild.tracking.subject import kept_frame, said, score_level, subject
 from avatarbuild.tracking.take import performance, warnings_of
 
 log = logging.getLogger(__name__)

@@ -19,17 +19,18 @@ from avatarbuild.geometry.rotations import rotation
 from avatarbuild.solvers.boxed import boxed, reduced
 from avatarbuild.stages import tracking
 from avatarbuild.template import ARKIT_NAMES, Template, expression_weights
-from avatarbuild.tracking import dense, fit, full_rate, gaze, lids, modelling
+from avatarbuild.tracking import dense, fit, full_rate, gaze, lids, modelling, neck
 from avatarbuild.tracking import markers as marking
 from avatarbuild.tracking.alternation import Eyes, Tracked, as_shown, evidence, looking_ahead, regard
 from avatarbuild.tracking.fit import Face, Pinned, State, Weights
 from avatarbuild.tracking.frames import Frame
 from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.markers import SKIN, Markers
+from avatarbuild.tracking.neck import PULLS, SHAPES
 from avatarbuild.tracking.rig import Places, Rider, Rig
 from avatarbuild.tracking.samples import flow_region
 
-A = len(ARKIT_NAMES) - 1
+A = SHAPES + PULLS
 LENS = Lens(700.0, 0.04, (480, 640))
 UPRIGHT = np.diag([1.0, -1.0, -1.0])  # the head's axes to the camera's
 
@@ -42,7 +43,7 @@ def template() -> Template:
 @cache
 def rig() -> Rig:
     t = template()
-    return Rig(t.mean, t.expressions[:A], t.triangles)
+    return Rig(t.mean, np.concatenate([t.expressions[:SHAPES], neck.pulls(t, t.mean)]), t.triangles)
 
 
 def face() -> Face:
@@ -65,7 +66,7 @@ def seen_marks(f: Face, s: State) -> np.ndarray:
 
 def frame_of(f: Face, s: State) -> Frame:
     nothing = np.full(A, np.nan)
-    return Frame(0, 0.0, seen_marks(f, s), 1.0, nothing, np.zeros(A), np.ones(A), np.zeros(2), [])
+    return Frame(0, 0.0, seen_marks(f, s), 1.0, nothing, *neck.bounds(), np.zeros(2), [])
 
 
 # quadratic programs
@@ -116,7 +117,7 @@ def moved(s: State, change: np.ndarray) -> State:
 
 def test_marker_derivative() -> None:
     f = face()
-    s = state(expression_weights(jawOpen=0.3, mouthSmile=0.4)[:A])
+    s = state(neck.padded(expression_weights(jawOpen=0.3, mouthSmile=0.4), 0.0))
     pictures = f.lens.project(f.marker_rider.at(s.weights) @ s.R.T + s.t)[0]
     pictures = pictures + np.random.default_rng(3).normal(0, 1e-6, pictures.shape)  # near zero: z / f stays as it is
     r, J = marking.rows(f.marker_rider, f.markers, s.weights, pictures, f.lens, s.R, s.t)
@@ -184,7 +185,7 @@ def test_texture_flow_derivative() -> None:
 
 def test_markers_alone_recover_pose_and_weights() -> None:
     f = face()
-    truth = state(expression_weights(jawOpen=0.6, browInnerUp=0.8, mouthSmileLeft=0.5)[:A])
+    truth = state(neck.padded(expression_weights(jawOpen=0.6, browInnerUp=0.8, mouthSmileLeft=0.5), 0.0))
     here = frame_of(f, truth)
     w = Weights(sparse=1e-6, ridge=1e-6, score=0.0)
     start = State(UPRIGHT, np.array([0.0, 0.0, 450.0]), np.zeros(A))
@@ -196,10 +197,28 @@ def test_markers_alone_recover_pose_and_weights() -> None:
     assert found.weights.max() <= 1
 
 
+def test_a_neck_that_pulls_at_the_chin_moves_no_jaw() -> None:
+    t, f = template(), face()
+    pulled = neck.padded(np.zeros(SHAPES), 0.0)
+    pulled[SHAPES:] = 1.2, -0.8
+    still = state(pulled)
+    at = np.flatnonzero(flow_region(t))[::7]
+    places = Places(at, np.full((len(at), 3), 1 / 3))
+    posed = places.on(f.rig.posed(pulled), t.triangles)
+    assert np.abs(posed - places.on(t.mean, t.triangles)).max() > 3  # mm
+    pictures = LENS.project(posed @ still.R.T + still.t)[0]
+    w = Weights()
+    shown = fit.found(f, dense.Targets(places, pictures, 1.0, np.ones((2, 2)), np.zeros(2), 1.0, w.density), w)
+    start = replace(still, weights=np.zeros(A))
+    found = fit.fit_points(f, frame_of(f, still), shown, start, w, rigid=0, steps=15)
+    np.testing.assert_allclose(found.weights[SHAPES:], pulled[SHAPES:], atol=0.1)
+    assert found.weights[:SHAPES].max() < 0.03
+
+
 def test_a_finer_picture_says_no_more_of_the_weights() -> None:
     """Four times as many points on the same skin, as from twice the resolution: the same weights."""
     f = face()
-    truth = state(expression_weights(jawOpen=0.4, mouthSmileLeft=0.6)[:A])
+    truth = state(neck.padded(expression_weights(jawOpen=0.4, mouthSmileLeft=0.6), 0.0))
     here = replace(frame_of(f, truth), scores=np.full(A, 0.1))
     w = Weights(score=50.0)
     (points,) = fit.detected(f, here, w)
@@ -220,7 +239,7 @@ def test_a_finer_picture_says_no_more_of_the_weights() -> None:
 
 def test_limits_hold() -> None:
     f = face()
-    truth = state(expression_weights(jawOpen=0.2, mouthClose=0.2)[:A])
+    truth = state(neck.padded(expression_weights(jawOpen=0.2, mouthClose=0.2), 0.0))
     here = frame_of(f, truth)
     found = fit.fit_points(f, here, fit.detected(f, here, Weights()), truth, Weights(), rigid=0, steps=5)
     i, j = (template().expression_index[name] for name in ("mouthClose", "jawOpen"))
@@ -243,7 +262,7 @@ def test_dense_flow_finds_a_moved_head() -> None:
     raster = rasterise(pixels, camera[:, 2], skin, LENS.size)
     drawn = sample_texture(texture[0], raster, pixels, camera[:, 2], skin, texture[1], texture[2])[..., 0]
     nothing = np.full(A, np.nan)
-    here = Frame(0, 0.0, np.zeros((478, 3)), 1.0, nothing, np.zeros(A), np.ones(A), np.zeros(2), [drawn])
+    here = Frame(0, 0.0, np.zeros((478, 3)), 1.0, nothing, *neck.bounds(), np.zeros(2), [drawn])
     off = place + np.array([3.0, -2.0, 0.0])
     found = dense.targets(here, t.mean, skin, region, texture, LENS, R, off, level=0)
     assert found.share > 0.6
@@ -431,7 +450,7 @@ def test_shapes_are_learnt_where_points_show_them() -> None:
     m = Markers(places, np.zeros((len(inside), 3)), np.ones(len(inside)), np.zeros(len(inside), bool))
     frames, pinned, states = [], [], []
     for weight in (0.4, 0.7, 1.0):
-        s = state(expression_weights(jawOpen=weight)[:A], (0.0, 0.02, 0.0))
+        s = state(neck.padded(expression_weights(jawOpen=weight), 0.0), (0.0, 0.02, 0.0))
         pictures = LENS.project(person.rider(places).at(s.weights) @ s.R.T + s.t)[0]
         pinned.append([Pinned(m, base.rider(places), pictures, np.full(len(inside), 4.0), 5.0)])
         states.append(s)
@@ -485,9 +504,20 @@ def test_gauge_changes_no_pose() -> None:
     np.testing.assert_allclose(scaled.deltas, base.deltas, atol=1e-12)
 
 
+def test_a_shape_stays_as_large_as_the_person_needs_it() -> None:
+    """Who raises their brows by more than the transferred shape at weight 1 keeps the larger shape."""
+    base = rig()
+    own = Rig(base.neutral, base.deltas * 1.5, base.triangles)
+    s = state(neck.padded(expression_weights(browInnerUp=1.0, jawOpen=0.5), 0.0))
+    scaled, (out,) = modelling.gauge(own, base, [s])
+    np.testing.assert_allclose(scaled.posed(out.weights), own.posed(s.weights), atol=1e-9)
+    wide = template().expression_index["jawOpen"]
+    np.testing.assert_allclose(scaled.deltas[wide], base.deltas[wide], atol=1e-9)
+
+
 def test_evidence() -> None:
     f = face()
-    half = state(expression_weights(jawOpen=0.5)[:A])
+    half = state(neck.padded(expression_weights(jawOpen=0.5), 0.0))
     one = Tracked(frame_of(f, half), half, [], 1.0, np.zeros((2, 2)), np.ones(2, bool), np.zeros((2, 2)))
     found = evidence([one], np.ones(1, bool), rig())
     i = template().expression_index["jawOpen"]
@@ -501,8 +531,8 @@ def test_evidence() -> None:
 def test_what_the_video_hardly_shows_stays_as_it_was_transferred() -> None:
     base = rig()
     learnt = replace(base, deltas=base.deltas + 1.0)
-    found = np.linspace(0, 1, A)
-    moved_ = (as_shown(learnt, base, found).deltas - base.deltas)[:, 0, 0]
+    found = np.linspace(0, 1, SHAPES)
+    moved_ = (as_shown(learnt, base, found).deltas - base.deltas[:SHAPES])[:, 0, 0]
     assert (moved_[found <= 0.25] == 0).all()
     np.testing.assert_allclose(moved_[found >= 0.6], 1)
     assert (np.diff(moved_) >= -1e-12).all()

@@ -27,7 +27,8 @@ from avatarbuild.tracking.full_rate import Sightings
 from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.markers import Clicks
 from avatarbuild.tracking.modelling import Freedom
-from avatarbuild.tracking.subject import SHAPES, kept_frames, said, score_level, subject
+from avatarbuild.tracking.neck import SHAPES
+from avatarbuild.tracking.subject import kept_frames, said, score_level, subject
 from avatarbuild.tracking.take import performance, warnings_of
 
 log = logging.getLogger(__name__)
@@ -87,9 +88,9 @@ def run(
         )
     evidence = np.zeros(len(ARKIT_NAMES))
     evidence[:SHAPES] = alternation.evidence(tracked, teaching, transferred)
-    shown = alternation.as_shown(face.rig, transferred, evidence[:SHAPES])
-    rig, contacts = kept(template, blendshapes, shown)
-    face = wearing(face, replace(rig, deltas=rig.deltas[:SHAPES]))
+    learnt = alternation.as_shown(face.rig, transferred, evidence[:SHAPES])
+    rig, contacts = kept(template, blendshapes, learnt)
+    face = wearing(face, replace(rig, deltas=np.concatenate([rig.deltas[:SHAPES], face.rig.deltas[SHAPES:]])))
     with progress.task("Every frame", len(clip.times)) as task:
         sightings = Sightings.of([one.frame for one in tracked if one.quality > 0])
         whole = full_rate.follow(

@@ -20,7 +20,7 @@ from avatarbuild.geometry.mipmap import Mipmap
 from avatarbuild.landmarks import canonical_face
 from avatarbuild.parallel import each_alone
 from avatarbuild.template import ARKIT_NAMES, Template
-from avatarbuild.tracking import dense, fit, gaze, lens_fit, lids
+from avatarbuild.tracking import dense, fit, gaze, lens_fit, lids, neck
 from avatarbuild.tracking.fit import Face, Pinned, State, Weights
 from avatarbuild.tracking.frames import Frame
 from avatarbuild.tracking.lens import Lens
@@ -108,7 +108,7 @@ def settle(face: Face, aimed: Tracked, template: Template, eyes: Eyes, w: Weight
     """The frame with weights by the detector's points, those of the eyes held as the picture shows them."""
     aimed = regard(face, aimed, template, eyes)
     pinned = fit.detected(face, aimed.frame, w)
-    start = replace(aimed.state, weights=aimed.frame.low)
+    start = replace(aimed.state, weights=np.clip(0, aimed.frame.low, aimed.frame.high))
     return replace(aimed, pinned=pinned, state=fit.fit_points(face, aimed.frame, pinned, start, w, rigid=0, steps=6))
 
 
@@ -121,13 +121,13 @@ def regard(face: Face, one: Tracked, template: Template, eyes: Eyes) -> Tracked:
     seen = lids.shut(frame.shown, eyes.opened)
     shut = np.nan_to_num(np.where(np.isfinite(seen), seen, frame.scores[BLINKS]))
     turned = gaze.yoked(_looking(face, one, eyes) - eyes.rest, shut)
-    held = gaze.look_weights(template, turned)[: len(frame.low)]
-    fixed = gaze.turning(template, len(frame.low))
+    held = neck.padded(gaze.look_weights(template, turned), 0.0)
+    fixed = neck.padded(gaze.turning(template), False).astype(bool)
     shut = lids.shut(frame.shown, eyes.opened, held[_DOWNS])
     known = np.isfinite(shut) & (frame.clicks is None)
     fixed[BLINKS] = known
     held[BLINKS] = shut = np.where(known, shut, 0.0)
-    low, high = np.where(fixed, held, 0.0), np.where(fixed, held, 1.0)
+    low, high = (np.where(fixed, held, bound) for bound in neck.bounds())
     high[_WIDES] = 1 - shut
     state = replace(one.state, weights=np.clip(one.state.weights, low, high))
     return replace(one, frame=replace(frame, low=low, high=high, shut=shut), state=state, gaze=turned)
@@ -269,7 +269,7 @@ def _lens(face: Face, tracked: list[Tracked]) -> tuple[Face, list[Tracked]]:
 
 
 def _size(one: Tracked) -> float:
-    return float(one.state.weights.sum())
+    return float(one.state.weights[: neck.SHAPES].sum())
 
 
 def _teachers(tracked: list[Tracked], teaching: np.ndarray) -> list[Tracked]:
@@ -289,7 +289,8 @@ def as_shown(learnt: Rig, base: Rig, found: np.ndarray) -> Rig:
     """
     share = np.clip((found - _HARDLY) / (_WELL - _HARDLY), 0, 1)[:, None, None]
     share[BLINKS] = 0
-    return replace(learnt, deltas=base.deltas + share * (learnt.deltas - base.deltas))
+    shapes = base.deltas[: neck.SHAPES]
+    return replace(learnt, deltas=shapes + share * (learnt.deltas[: neck.SHAPES] - shapes))
 
 
 def evidence(tracked: list[Tracked], teaching: np.ndarray, base: Rig) -> np.ndarray:

@@ -20,6 +20,7 @@ from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.lids import RIMS
 from avatarbuild.tracking.markers import SKIN, Markers
 from avatarbuild.tracking.markers import rows as marker_rows
+from avatarbuild.tracking.neck import SHAPES
 from avatarbuild.tracking.rig import Places, Rider, Rig
 from avatarbuild.tracking.samples import Samples, visible
 
@@ -112,6 +113,7 @@ def face_of(
     riders = [rig.rider(level.places) for level in samples]
     size = np.linalg.norm(rig.deltas.reshape(len(rig.deltas), -1), axis=1)
     relative = np.minimum(size / max(float(np.median(size)), 1e-9), 1.0)
+    relative[SHAPES:] = 0
     return Face(rig, lens, markers, rig.rider(markers.places), samples, riders, skin, limits, relative)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from avatarbuild.tracking import neck
 from avatarbuild.tracking.lids import eye_shown
 from avatarbuild.tracking.markers import SKIN, Clicks
 from avatarbuild.tracking.samples import log_grey
@@ -74,8 +75,8 @@ def frame(
             grey = grey[: grey.shape[0] // 2 * 2, : grey.shape[1] // 2 * 2]
             grey = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
         pyramid.append(cv2.GaussianBlur(grey, (0, 0), _BLUR))
-    a = len(scores)
     return Frame(
-        *(number, time, marks, presence, scores, np.zeros(a), np.ones(a), low.astype(np.float64), pyramid, clicks),
+        *(number, time, marks, presence, neck.padded(scores, np.nan), *neck.bounds(), low.astype(np.float64)),
+        *(pyramid, clicks),
         shown=eye_shown(rgb, marks),
     )

@@ -16,6 +16,7 @@ from avatarbuild.tracking.corrections import shifted
 from avatarbuild.tracking.fit import Face, State, Weights
 from avatarbuild.tracking.frames import Frame, ScoreLevel, frame
 from avatarbuild.tracking.markers import Clicks
+from avatarbuild.tracking.neck import SHAPES
 
 # pixels of the face's crop, whatever the video's size; the shapes are known by now
 DENSE_SIDE = 256.0  # for dense flow
@@ -81,7 +82,7 @@ def follow(
             seen = trace(rgb, region_about(sightings.expected(number)), careful=False)
             if seen.presence < LEAST_PRESENCE:
                 return None
-            scores = level.of(seen.scores[: len(face.rig.deltas)])
+            scores = level.of(seen.scores[:SHAPES])
             told = clicks.get(number)
             marks = seen.points if told is None else shifted(seen.points, told, face.markers)
             here = frame(number, time, rgb, marks, seen.presence, scores, told)

@@ -108,9 +108,9 @@ def look_weights(template: Template, angles: np.ndarray) -> np.ndarray:
     return out
 
 
-def turning(template: Template, a: int) -> np.ndarray:
-    """(a,) bool: the shapes among the first a that go with the eyes' turning."""
-    return np.array([name in template.eye_rotations for name in template.expression_names[:a]])
+def turning(template: Template) -> np.ndarray:
+    """(52,) bool: the shapes that go with the eyes' turning."""
+    return np.array([name in template.eye_rotations for name in template.expression_names])
 
 
 def held(angles: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from avatarbuild.landmarks import canonical_face
 from avatarbuild.parallel import in_order
 from avatarbuild.rigging import limits_of
 from avatarbuild.sfm.metric import placed_photos
-from avatarbuild.template import ARKIT_NAMES, Template
+from avatarbuild.template import Template
 from avatarbuild.texture.photos import placed_in_head
 from avatarbuild.tracking import samples
 from avatarbuild.tracking.alternation import Eyes, Skin
@@ -20,9 +20,9 @@ from avatarbuild.tracking.fit import Face, face_of
 from avatarbuild.tracking.frames import LEVELS, Frame, ScoreLevel, frame
 from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.markers import Clicks, Markers, markers
+from avatarbuild.tracking.neck import SHAPES, pulls
 from avatarbuild.tracking.rig import Rig
 
-SHAPES = len(ARKIT_NAMES) - 1  # tongueOut, the last, moves no skin
 SAMPLES = (6000, 4000, 2000, 800)  # of the skin, for each level of the pyramid, finest first
 LEAST_SCORE = 0.15  # a channel of the detector that never says more is dead
 
@@ -47,7 +47,8 @@ def subject(
         neutral.head_from_cloud,
     )
     points = markers(template, blendshapes.neutral, photos, capture.photos, capture.neutral)
-    rig = Rig(blendshapes.neutral, blendshapes.deltas[:SHAPES].astype(np.float64), template.triangles)
+    deltas = np.concatenate([blendshapes.deltas[:SHAPES].astype(np.float64), pulls(template, blendshapes.neutral)])
+    rig = Rig(blendshapes.neutral, deltas, template.triangles)
     mean = canonical_face()
     faces = seen.landmarks[np.isfinite(seen.presence)][:, : len(mean.points)]
     scale = float(np.median([head_pose(mean.points, mean.rigidity, points_).scale for points_ in faces]))

@@ -12,7 +12,7 @@ from avatarbuild.tracking import gaze
 from avatarbuild.tracking.alternation import BLINKS
 from avatarbuild.tracking.full_rate import Found, smoothed
 from avatarbuild.tracking.lens import Lens
-from avatarbuild.tracking.subject import SHAPES
+from avatarbuild.tracking.neck import SHAPES
 
 _MUCH_LOST = 0.1  # of the frames
 
@@ -37,7 +37,7 @@ def performance(
     for one in whole:
         i = one.number
         quality[i], angles[i] = one.quality, one.gaze
-        weights[i, :SHAPES] = one.state.weights
+        weights[i, :SHAPES] = one.state.weights[:SHAPES]
         pose[i] = np.r_[cv2.Rodrigues(one.state.R)[0].ravel(), one.state.t]
     good = quality > 0
     at = np.arange(f)
