@@ -87,7 +87,7 @@ def run(
             *(options.rounds, options.settled, task.advance),
         )
     evidence = np.zeros(len(ARKIT_NAMES))
-    evidence[:SHAPES] = alternation.evidence(tracked, teaching, transferred)
+    evidence[:SHAPES] = alternation.evidence(tracked, teaching, transferred)[:SHAPES]
     learnt = alternation.as_shown(face.rig, transferred, evidence[:SHAPES])
     rig, contacts = kept(template, blendshapes, learnt)
     face = wearing(face, replace(rig, deltas=np.concatenate([rig.deltas[:SHAPES], face.rig.deltas[SHAPES:]])))
