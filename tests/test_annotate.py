@@ -45,7 +45,7 @@ from avatarbuild.sfm.metric import placed_photos
 from avatarbuild.simulation.photographs import look_at
 from avatarbuild.stages import neutral
 from avatarbuild.template_files import resolve
-from avatarbuild.tracking import fit
+from avatarbuild.tracking import fit, neck
 from avatarbuild.tracking.corrections import propagated
 from avatarbuild.tracking.full_rate import Sightings
 from avatarbuild.tracking.lens import Lens
@@ -422,14 +422,14 @@ def mouth_error(clip: Clip, row: int, clicks: dict[int, Clicks]) -> float:
     t, number = drawn_head.template(), KEPT[row]
     places = Places(t.landmark_triangles[:468], t.landmark_barycentric[:468])
     m = Markers(places, np.zeros((468, 3)), np.ones(468), t.landmark_sliding[:468])
-    rig = Rig(t.mean, t.expressions[:51], t.triangles)
+    rig = Rig(t.mean, np.concatenate([t.expressions[: neck.SHAPES], neck.pulls(t, t.mean)]), t.triangles)
     limits = tuple(limits_of(t).items())
     face = fit.face_of(rig, drawn_head.LENS, m, [], t.triangles[t.parts["skin"].triangles], limits)
-    here = kept_frame(clip, score_level(*np.zeros((2, 1, 51))), m, clicks, row, frame_pictures()[number])
+    here = kept_frame(clip, score_level(*np.zeros((2, 1, neck.SHAPES))), m, clicks, row, frame_pictures()[number])
     _, R, shift = drawn_head.true(number)
     w = fit.Weights()
     pinned = fit.detected(face, here, w)
-    found = fit.fit_points(face, here, pinned, fit.State(R, shift, np.zeros(51)), w, rigid=6, steps=15)
+    found = fit.fit_points(face, here, pinned, fit.State(R, shift, np.zeros(len(rig.deltas))), w, rigid=6, steps=15)
     off = rig.posed(found.weights) @ found.R.T + found.t - drawn_head.camera(number)
     return float(np.linalg.norm(off[t.regions["lips"], :2], axis=1).mean())
 

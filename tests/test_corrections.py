@@ -10,14 +10,14 @@ import cv2
 import jsonschema
 import numpy as np
 import pytest
-from test_tracking import UPRIGHT, face, frame_of, state, template
+from test_tracking import UPRIGHT, A, face, frame_of, state, template
 
 from avatarbuild import options, pipeline
 from avatarbuild.errors import InputError
 from avatarbuild.formats.corrections import Corrections, corrections_bytes, read_corrections
 from avatarbuild.project import Project
 from avatarbuild.template import expression_weights
-from avatarbuild.tracking import corrections, fit
+from avatarbuild.tracking import corrections, fit, neck
 from avatarbuild.tracking.fit import State, Weights
 from avatarbuild.tracking.markers import SKIN, Clicks
 
@@ -127,7 +127,7 @@ def test_points_ride_on_the_flow_and_fade() -> None:
 
 def test_neighbours_move_along() -> None:
     f = face()
-    marks = np.c_[frame_of(f, state(np.zeros(51))).marks, np.zeros(478)]
+    marks = np.c_[frame_of(f, state(np.zeros(A))).marks, np.zeros(478)]
     m = replace(f.markers, offset=np.tile([1.0, 0.0, 0.0], (SKIN, 1)))
     corner = int(template().landmarks68[48])
     clicks = Clicks(np.array([corner]), marks[[corner], :2] + (8.0, 0.0), np.ones(1))
@@ -142,7 +142,7 @@ def test_neighbours_move_along() -> None:
 
 def test_a_frame_whose_detector_is_off_is_put_right() -> None:
     f = face()
-    truth = state(expression_weights(jawOpen=0.5, mouthSmileLeft=0.6)[:51])
+    truth = state(neck.padded(expression_weights(jawOpen=0.5, mouthSmileLeft=0.6), 0.0))
     here = frame_of(f, truth)
     marks = np.c_[here.marks, np.zeros(478)]
     mouth = np.array([*template().landmarks68[48:68]])
@@ -150,7 +150,7 @@ def test_a_frame_whose_detector_is_off_is_put_right() -> None:
     wrong = marks.copy()
     wrong[:SKIN][near, :2] += (0.0, 8.0)
     clicks = Clicks(mouth, marks[mouth, :2], np.ones(len(mouth)))
-    start = State(UPRIGHT, np.array([0.0, 0.0, 450.0]), np.zeros(51))
+    start = State(UPRIGHT, np.array([0.0, 0.0, 450.0]), np.zeros(A))
     w = Weights()
 
     def error(marks_: np.ndarray, told: Clicks | None) -> float:
