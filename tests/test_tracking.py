@@ -468,7 +468,7 @@ def test_shapes_are_learnt_where_points_show_them() -> None:
 
 
 def test_shapes_that_act_together_are_learnt_to_the_end() -> None:
-    """Shapes that overlap, data worth far more than the prior: the steps taken end at the minimum."""
+    """Shapes that overlap, data worth far more than the prior: the steps of three rounds end at the minimum."""
     t, full = template(), rig()
     chosen = [t.expression_index[name] for name in ("jawOpen", "mouthFunnel", "mouthSmileLeft", "mouthSmileRight")]
     base = Rig(full.neutral, full.deltas[chosen], full.triangles)
@@ -478,18 +478,22 @@ def test_shapes_that_act_together_are_learnt_to_the_end() -> None:
     places = Places(inside, np.full((len(inside), 3), 1 / 3))
     m = Markers(places, np.zeros((len(inside), 3)), np.ones(len(inside)), np.zeros(len(inside), bool))
     weights = np.random.default_rng(5).uniform(0.1, 0.9, (6, len(chosen)))
-    frame, pinned, states = frame_of(face(), state(np.zeros(A))), [], []
+    frame, states, pictures = frame_of(face(), state(np.zeros(A))), [], []
     for row in weights:
         s = state(row, (0.0, 0.02, 0.0))
         camera = base.rider(places).at(row) @ s.R.T + s.t
-        pictures = LENS.project(camera + 1.5 * row[0] * np.sin(camera[:, ::-1] / 25))[0]
-        pinned.append([Pinned(m, base.rider(places), pictures, np.full(len(inside), 6.0), 50.0)])
+        pictures.append(LENS.project(camera + 1.5 * row[0] * np.sin(camera[:, ::-1] / 25))[0])
         states.append(s)
     posed = []
-    for steps, tolerance in ((modelling.Freedom.steps, modelling.Freedom.tolerance), (80, 1e-9)):
+    for rounds, steps, tolerance in ((3, modelling.Freedom.steps, modelling.Freedom.tolerance), (1, 80, 1e-9)):
         freedom = modelling.Freedom(steps=steps, tolerance=tolerance)
         space = modelling.Space(t, base, np.array([0.0, 0.0, 1.0]), freedom)
-        learnt = modelling.learn(space, f, base, [frame] * 6, pinned, states, (), Weights(), freedom)
+        learnt = base
+        for _ in range(rounds):
+            rider = learnt.rider(places)
+            pinned = [[Pinned(m, rider, seen, np.full(len(inside), 6.0), 50.0)] for seen in pictures]
+            now = (fit.wearing(f, learnt), base, [frame] * 6, pinned, states)
+            learnt = modelling.learn(space, *now, (), Weights(), freedom)
         posed.append(np.stack([learnt.posed(s.weights) - base.posed(s.weights) for s in states]))
     assert np.abs(posed[1]).max() > 1
     assert np.sqrt(((posed[0] - posed[1]) ** 2).mean() / (posed[1] ** 2).mean()) < 0.05
@@ -545,6 +549,13 @@ def test_without_a_video_the_shapes_are_the_transferred_ones() -> None:
     assert made.warnings == ["no video"]
     assert made.deltas is shapes.deltas
     assert len(made.times) == 0
+
+
+def test_a_rigs_points_ride_on_its_triangles() -> None:
+    r = rig()
+    places = Places(np.array([7, 900]), np.array([[0.2, 0.3, 0.5], [1.0, 0.0, 0.0]]))
+    weights = np.linspace(0, 1, len(r.deltas))
+    np.testing.assert_allclose(r.rider(places).at(weights), places.on(r.posed(weights), r.triangles), atol=1e-9)
 
 
 def test_rider() -> None:

@@ -25,7 +25,7 @@ from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.modelling import Freedom, Space, nearest, with_rest
 from avatarbuild.tracking.rig import Rig
 
-FREEDOM = Freedom(share=0.03, least=0.015, length=20.0, depth=10.0, neutral=0.003, worth=0.2)
+FREEDOM = Freedom(share=0.03, least=0.015, length=20.0, depth=10.0, neutral=0.003, worth=0.2, steps=30)
 """Ten times freer along the line of sight than across it: there lies what shading knows and points do not. Across it
 points know more, and the skin would slide."""
 _RIM = 7  # pixels of the face's border whose depth is not used

@@ -91,6 +91,7 @@ def run(
     learnt = alternation.as_shown(face.rig, transferred, evidence[:SHAPES])
     rig, contacts = kept(template, blendshapes, learnt)
     face = wearing(face, replace(rig, deltas=np.concatenate([rig.deltas[:SHAPES], face.rig.deltas[SHAPES:]])))
+    tracked = alternation.again(template, face, skin, tracked, eyes, weights)
     with progress.task("Every frame", len(clip.times)) as task:
         sightings = Sightings.of([one.frame for one in tracked if one.quality > 0])
         whole = full_rate.follow(

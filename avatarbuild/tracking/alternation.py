@@ -109,7 +109,7 @@ def settle(face: Face, aimed: Tracked, template: Template, eyes: Eyes, w: Weight
     aimed = regard(face, aimed, template, eyes)
     pinned = fit.detected(face, aimed.frame, w)
     start = replace(aimed.state, weights=np.clip(0, aimed.frame.low, aimed.frame.high))
-    return replace(aimed, pinned=pinned, state=fit.fit_points(face, aimed.frame, pinned, start, w, rigid=0, steps=6))
+    return replace(aimed, pinned=pinned, state=fit.fit_points(face, aimed.frame, pinned, start, w, rigid=0, steps=4))
 
 
 def regard(face: Face, one: Tracked, template: Template, eyes: Eyes) -> Tracked:
@@ -167,7 +167,7 @@ def seek(
     marks = fit.detected(face, frame, w, np.clip(found.covered(seen) / _HIDDEN, _LEAST_TRUST, 1))
     pinned = marks + fit.found(face, found, w)
     w = w.beside(found.density)
-    state = fit.fit_points(face, frame, pinned, state, w, rigid=0, steps=4)
+    state = fit.fit_points(face, frame, pinned, state, w, rigid=0, steps=_STEPS)
     if levels:
         state = fit.fit(face, frame, pinned, state, w, levels, _STEPS)
     worth = quality(face, frame, marks[0], state, found) if marks else 0.0
@@ -248,6 +248,15 @@ def alternate(
             advance(share * (rounds - 1 - number))
             break
     return face, eyes, [regard(face, one, template, eyes) for one in tracked], history
+
+
+def again(template: Template, face: Face, skin: Skin, tracked: list[Tracked], eyes: Eyes, w: Weights) -> list[Tracked]:
+    """The tracked frames with the face as it has become, its shapes no longer in question."""
+
+    def look(one: Tracked) -> Tracked:
+        return regard(face, seek(face, skin, one, w, ROUND_LEVELS[-1]), template, eyes)
+
+    return list(each_alone(look, tracked))
 
 
 def _lens(face: Face, tracked: list[Tracked]) -> tuple[Face, list[Tracked]]:

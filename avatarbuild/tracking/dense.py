@@ -24,6 +24,7 @@ _FLAT = 3.0  # pixels: the spread of the mean that is taken off both pictures
 _GREY = 40.0  # grey levels of a standard deviation
 _FAINT = 0.01  # of the logarithm: fainter texture stays faint
 _AGREE = 1.0  # pixels at that level: flow there and back
+_PATCH, _STRIDE = 8, 4  # pixels: of the flow's patches, and from one to the next; every third finds no more
 _CELL = 5  # one target for so many pixels square
 _FACING = 0.35
 _WINDOW = 0.2  # of the face's width, about: within it flow says whether something hides the face
@@ -92,7 +93,11 @@ def targets(
             scale,
             density,
         )
-    there, apart = flow_there_and_back(levelled(drawn, on), levelled(seen, on))
+    there, apart = np.zeros((h, w, 2), np.float32), np.full((h, w), np.inf, np.float32)
+    window = _face_window(on)
+    there[window], apart[window] = flow_there_and_back(
+        levelled(drawn[window], on[window]), levelled(seen[window], on[window])
+    )
     inner = cv2.erode(on.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     good = inner & (apart < _AGREE) & (np.linalg.norm(there, axis=2) < _WAY)
     cells = np.zeros_like(good)
@@ -103,6 +108,13 @@ def targets(
     places = Places(raster.triangle[row, column].astype(np.int64), raster.barycentric[row, column].astype(np.float64))
     share = len(row) / max(int((inner & cells).sum()), 1)
     return Targets(places, at * scale + frame.corner, share, _about(good, inner), frame.corner, scale, density)
+
+
+def _face_window(on: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns of a picture that hold the face, `on`, with a patch's width about it."""
+    (top, bottom), (left, right) = (np.flatnonzero(on.any(axis=axis))[[0, -1]] for axis in (1, 0))
+    rows = slice(max(int(top) - _PATCH, 0), int(bottom) + 1 + _PATCH)
+    return rows, slice(max(int(left) - _PATCH, 0), int(right) + 1 + _PATCH)
 
 
 def _about(good: np.ndarray, tried: np.ndarray) -> np.ndarray:
@@ -137,4 +149,5 @@ def flow(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(h, w, 2) float32 pixels from a to b, both (h, w) uint8."""
     engine = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     engine.setFinestScale(0)
+    engine.setPatchStride(_STRIDE)
     return np.asarray(engine.calc(a, b, np.zeros((*a.shape, 2), np.float32)))

@@ -18,9 +18,7 @@ from avatarbuild.tracking.frames import Frame, ScoreLevel, frame
 from avatarbuild.tracking.markers import Clicks
 from avatarbuild.tracking.neck import SHAPES
 
-# pixels of the face's crop, whatever the video's size; the shapes are known by now
-DENSE_SIDE = 256.0  # for dense flow
-FLOW_SIDE = 512.0  # for equation (6)
+SIDES = (256.0, 512.0)  # pixels of the face's crop, whatever the video's size: to find the face, and to measure it
 CUT_OFF = 7.0  # Hz: motion that is faster than a blink's lids is noise
 LEAST_PRESENCE = 0.5
 
@@ -87,7 +85,9 @@ def follow(
             marks = seen.points if told is None else shifted(seen.points, told, face.markers)
             here = frame(number, time, rgb, marks, seen.presence, scores, told)
             begun = settle(face, aim(face, here, w), template, eyes, w)
-            one = seek(face, skin, begun, w, (fitting(here, FLOW_SIDE),), fitting(here, DENSE_SIDE))
+            coarse, fine = (fitting(here, side) for side in SIDES)
+            near = seek(face, skin, begun, w, (), coarse)
+            one = seek(face, skin, near, w, (fine,), fine)
             one = regard(face, one, template, eyes)
         return Found(number, one.state, one.quality, one.gaze)
 

@@ -44,7 +44,7 @@ class Freedom:
     How far shapes may stray: `share` of their own motion, spread over `reach` mm, plus `least` mm where they move;
     `neutral` mm for the face at rest; `depth` of that along the line of sight, where a frontal video shows nothing;
     `length` mm over which deviations agree; `worth` of the data beside tracking's. Conjugate gradients end after
-    `steps` or at `tolerance`.
+    `steps` or at `tolerance`; a round begins where the last one ended.
     """
 
     share: float = 0.3
@@ -53,8 +53,8 @@ class Freedom:
     depth: float = 0.15
     neutral: float = 0.01
     length: float = 40.0
-    worth: float = 0.3
-    steps: int = 30
+    worth: float = 1.0
+    steps: int = 20
     tolerance: float = 1e-4
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
+import numba
 import numpy as np
 
 
@@ -42,11 +44,28 @@ class Rig:
     def rider(self, places: Places) -> Rider:
         """Points of the surface that move with the shapes: at rest, and by how much at weight 1 of each."""
         corners = self.triangles[places.triangle]
-        moves = np.empty((len(corners), 3, len(self.deltas)))
-        for j, delta in enumerate(self.deltas):
-            moves[:, :, j] = np.einsum("pk,pkc->pc", places.barycentric, delta[corners])
-        return Rider(places.on(self.neutral, self.triangles), moves)
+        rest = places.on(self.neutral, self.triangles)
+        return Rider(rest, _moves(self._by_vertex, corners, np.asarray(places.barycentric, np.float64)))
+
+    @cached_property
+    def _by_vertex(self) -> np.ndarray:
+        """(n, 3, a) the deltas, a vertex' own side by side."""
+        return np.ascontiguousarray(self.deltas.transpose(1, 2, 0), np.float64)
 
     def posed(self, weights: np.ndarray) -> np.ndarray:
         """(n, 3)"""
         return self.neutral + np.tensordot(weights, self.deltas, 1)
+
+
+@numba.njit(cache=True, nogil=True)
+def _moves(deltas: np.ndarray, corners: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
+    """(p, 3, a) of deltas (n, 3, a) at points with corners (p, 3) and barycentric (p, 3)."""
+    a = deltas.shape[2]
+    out = np.zeros((len(corners), 3, a))
+    for p in range(len(corners)):
+        for k in range(3):
+            share = barycentric[p, k]
+            for c in range(3):
+                for j in range(a):
+                    out[p, c, j] += share * deltas[corners[p, k], c, j]
+    return out
