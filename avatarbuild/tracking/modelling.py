@@ -53,7 +53,7 @@ class Freedom:
     depth: float = 0.15
     neutral: float = 0.01
     length: float = 40.0
-    worth: float = 1.0
+    worth: float = 0.3
     steps: int = 20
     tolerance: float = 1e-4
 
