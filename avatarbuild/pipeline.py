@@ -90,7 +90,7 @@ STAGES = (
         ("capture", "albedo", "blendshapes", "tracking"),
         artefacts.Refinement,
         options.RefinementOptions,
-        3,
+        4,
         "the expressions refined by the light on the skin",
     ),
     Stage(
