@@ -11,6 +11,7 @@ import expressions
 import landmarks
 import lids
 import lips
+import nostrils
 import numpy as np
 import parts
 import placement
@@ -94,7 +95,10 @@ def assemble(recipe: SimpleNamespace, version: str, say: Callable[[str], None]) 
         "cage_identity": cage_identity,
         "cage_expressions": cage_expressions,
     }
-    return Template(**first, **_landmarks(first, small, say))
+    first |= _landmarks(first, small, say)
+    # last, so that texture and landmarks are the rim's
+    cage_mean[: cage.skin] += nostrils.hollowed(cage_mean[: cage.skin], cage)
+    return Template(**first | {"mean": subdivision @ cage_mean, "cage_mean": cage_mean})
 
 
 def _apply(s: sp.csr_matrix, deltas: np.ndarray) -> np.ndarray:
