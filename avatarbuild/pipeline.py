@@ -80,7 +80,7 @@ STAGES = (
         ("capture", "cameras", "neutral", "albedo", "blendshapes"),
         artefacts.Performance,
         options.TrackingOptions,
-        10,
+        11,
         "the performance in the video, and the person's own expressions",
         watches=True,
         corrected="video",

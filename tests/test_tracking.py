@@ -21,7 +21,7 @@ from avatarbuild.stages import tracking
 from avatarbuild.template import ARKIT_NAMES, Template, expression_weights
 from avatarbuild.tracking import dense, fit, full_rate, gaze, lids, modelling, neck
 from avatarbuild.tracking import markers as marking
-from avatarbuild.tracking.alternation import Eyes, Tracked, as_shown, evidence, looking_ahead, regard
+from avatarbuild.tracking.alternation import Eyes, Tracked, as_shown, evidence, looking_ahead, pulled, regard
 from avatarbuild.tracking.fit import Face, Pinned, State, Weights
 from avatarbuild.tracking.frames import Frame
 from avatarbuild.tracking.lens import Lens
@@ -199,20 +199,52 @@ def test_markers_alone_recover_pose_and_weights() -> None:
 
 def test_a_neck_that_pulls_at_the_chin_moves_no_jaw() -> None:
     t, f = template(), face()
-    pulled = neck.padded(np.zeros(SHAPES), 0.0)
-    pulled[SHAPES:] = 1.2, -0.8
-    still = state(pulled)
+    moved = neck.padded(np.zeros(SHAPES), 0.0)
+    moved[SHAPES : SHAPES + 2] = 1.2, -0.8
+    still = state(moved)
     at = np.flatnonzero(flow_region(t))[::7]
     places = Places(at, np.full((len(at), 3), 1 / 3))
-    posed = places.on(f.rig.posed(pulled), t.triangles)
+    posed = places.on(f.rig.posed(moved), t.triangles)
     assert np.abs(posed - places.on(t.mean, t.triangles)).max() > 3  # mm
     pictures = LENS.project(posed @ still.R.T + still.t)[0]
     w = Weights()
     shown = fit.found(f, dense.Targets(places, pictures, 1.0, np.ones((2, 2)), np.zeros(2), 1.0, w.density), w)
     start = replace(still, weights=np.zeros(A))
     found = fit.fit_points(f, frame_of(f, still), shown, start, w, rigid=0, steps=15)
-    np.testing.assert_allclose(found.weights[SHAPES:], pulled[SHAPES:], atol=0.1)
+    np.testing.assert_allclose(found.weights[SHAPES:], moved[SHAPES:], atol=0.1)
     assert found.weights[:SHAPES].max() < 0.03
+
+
+def test_the_torso_is_told_from_jaws_that_drop() -> None:
+    """A third of the frames show a jaw that pulls looked like taking up; the others what a still torso does."""
+    t, rng = template(), np.random.default_rng(3)
+    chin = t.landmarks(t.mean)[t.landmarks68][8]
+    poses = []
+    for _ in range(40):
+        turn = cv2.Rodrigues(rng.normal(0, 0.08, 3))[0]
+        poses.append((UPRIGHT @ turn, np.array([0.0, 0.0, 450.0]) + rng.normal(0, 6, 3)))
+    still = neck.Torso(UPRIGHT, np.array([0.0, 0.0, 450.0]), chin, 0.3, np.array([-1.0, 0.5]))
+    seen = np.array([still.weights(R, place) for R, place in poses])
+    seen[::3, 1] -= 1.0
+    found = neck.torso(t, t.mean, poses, seen)
+    assert abs(found.share - 0.3) < 0.05
+    wanted = np.array([still.weights(R, place) for R, place in poses])
+    off = np.array([found.weights(R, place) for R, place in poses]) - wanted
+    assert neck.UNIT * np.abs(off[:, :2]).max() < 1.0  # mm
+
+    f = replace(face(), torso=found)
+    R, place = poses[7]
+    one = Tracked(
+        frame_of(f, state(np.zeros(A))), State(R, place, np.zeros(A)), [], 1.0, *np.full((2, 2, 2), np.nan), []
+    )
+    held = pulled(f, one)
+    for values in (held.state.weights, held.frame.low, held.frame.high):
+        np.testing.assert_array_equal(values[SHAPES:], found.weights(R, place))
+    fields = np.tensordot(held.state.weights[SHAPES:], f.rig.deltas[SHAPES:], axes=1)
+    at = int(np.linalg.norm(t.mean - chin, axis=1).argmin())
+    passing = found.share * ((t.mean[at] @ found.R.T + found.t - place) @ R - t.mean[at])
+    passing[:2] += found.offset
+    assert np.linalg.norm(fields[at] - passing) < 0.5
 
 
 def test_a_finer_picture_says_no_more_of_the_weights() -> None:

@@ -67,8 +67,8 @@ class ReliefWeights:
 
 
 MEDIUM = ReliefWeights(light=30.0, small=0.01, slope=3.0, bend=1.0, scatter=0.0, hollow=0.1, reach=4.0)
-"""For the refinement of shapes: what a mesh of a few millimetres' spacing can follow; scattered light is finer. How bright
-a place is counts more than how its brightness changes: what the albedo gets wrong all frames have in common."""
+"""For the refinement of shapes: what a mesh of a few millimetres' spacing can follow; scattered light is finer. How
+bright a place is counts more than how its brightness changes: what the albedo gets wrong all frames have in common."""
 FINE = ReliefWeights(light=0.3, small=0.005, slope=0.1, bend=0.1, hollow=1.0, apart=0.1)
 """For detail maps."""
 

@@ -160,6 +160,7 @@ def seek(
     face: Face, skin: Skin, tracked: Tracked, w: Weights, levels: tuple[int, ...], at: int = dense.LEVEL
 ) -> Tracked:
     """The frame again: its points where the head, drawn as it was tracked, is found in it; then the texture."""
+    tracked = pulled(face, tracked)
     frame, state = tracked.frame, tracked.state
     posed = face.rig.posed(state.weights)
     found = dense.targets(frame, posed, face.skin, skin.region, skin.texture, face.lens, state.R, state.t, at)
@@ -172,6 +173,17 @@ def seek(
         state = fit.fit(face, frame, pinned, state, w, levels, _STEPS)
     worth = quality(face, frame, marks[0], state, found) if marks else 0.0
     return replace(tracked, state=state, pinned=pinned, quality=worth)
+
+
+def pulled(face: Face, one: Tracked) -> Tracked:
+    """The frame with the neck's pulls held where the torso, if it is known, has them at the frame's present pose."""
+    if face.torso is None:
+        return one
+    frame, state = one.frame, one.state
+    weights, low, high = state.weights.copy(), frame.low.copy(), frame.high.copy()
+    for values in (weights, low, high):
+        values[neck.SHAPES :] = face.torso.weights(state.R, state.t)
+    return replace(one, frame=replace(frame, low=low, high=high), state=replace(state, weights=weights))
 
 
 def quality(face: Face, frame: Frame, marks: Pinned, state: State, found: dense.Targets) -> float:
@@ -188,13 +200,15 @@ def quality(face: Face, frame: Frame, marks: Pinned, state: State, found: dense.
 def begin(
     template: Template, face: Face, skin: Skin, frames: list[Frame], eyes: Eyes, w: Weights
 ) -> tuple[Face, Eyes, list[Tracked]]:
-    """Frames of a clip tracked by points, the face with the clip's own lens, the eyes with their usual gaze."""
+    """Frames of a clip tracked by points, the face with the clip's lens and torso, the eyes with their usual gaze."""
     aimed = list(each_alone(lambda f: aim(face, f, w), frames))
     eyes = looking_ahead(face, aimed, eyes)
     tracked = list(each_alone(lambda one: settle(face, one, template, eyes, w), aimed))
     for _ in range(2):
         tracked = list(each_alone(lambda one: seek(face, skin, one, w, ()), tracked))
     face, tracked = _lens(face, tracked)
+    face = _with_torso(template, face, tracked)
+    tracked = [pulled(face, one) for one in tracked]
     # the pose by the detector alone nods where the jaw drops, and the gaze with it
     eyes = looking_ahead(face, tracked, eyes)
     return face, eyes, [regard(face, one, template, eyes) for one in tracked]
@@ -275,6 +289,17 @@ def _lens(face: Face, tracked: list[Tracked]) -> tuple[Face, list[Tracked]]:
         state = moved.get(i, replace(one.state, t=one.state.t * np.array([1, 1, ratio])))
         tracked[i] = replace(one, state=state)
     return replace(face, lens=lens), tracked
+
+
+def _with_torso(template: Template, face: Face, tracked: list[Tracked]) -> Face:
+    """The face with the torso that the good frames tell of, whose pulls were free."""
+    good = [one.state for one in tracked if one.quality >= _WORSE]
+    if not good:
+        return face
+    poses, seen = [(s.R, s.t) for s in good], np.array([s.weights[neck.SHAPES :] for s in good])
+    torso = neck.torso(template, face.rig.neutral, poses, seen)
+    log.info("the chin's edge makes %.2f of the torso's motion past the head", torso.share)
+    return replace(face, torso=torso)
 
 
 def _size(one: Tracked) -> float:

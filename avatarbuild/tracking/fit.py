@@ -20,7 +20,7 @@ from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.lids import RIMS
 from avatarbuild.tracking.markers import SKIN, Markers
 from avatarbuild.tracking.markers import rows as marker_rows
-from avatarbuild.tracking.neck import SHAPES
+from avatarbuild.tracking.neck import SHAPES, Torso
 from avatarbuild.tracking.rig import Places, Rider, Rig
 from avatarbuild.tracking.samples import Samples, visible
 
@@ -82,6 +82,7 @@ class Face:
     skin: np.ndarray
     limits: tuple[tuple[int, int], ...]
     shape_sizes: np.ndarray
+    torso: Torso | None = None
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,7 @@ def face_of(
 
 def wearing(face: Face, rig: Rig) -> Face:
     """The face with another rig of the same topology."""
-    return face_of(rig, face.lens, face.markers, face.samples, face.skin, face.limits)
+    return replace(face_of(rig, face.lens, face.markers, face.samples, face.skin, face.limits), torso=face.torso)
 
 
 def detected(face: Face, frame: Frame, w: Weights, trust: np.ndarray | float = 1.0) -> list[Pinned]:

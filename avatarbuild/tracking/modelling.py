@@ -29,7 +29,7 @@ from avatarbuild.geometry import meshes
 from avatarbuild.parallel import each_alone
 from avatarbuild.solvers.sparse import Factor, conjugate_gradients
 from avatarbuild.template import Template
-from avatarbuild.tracking import fit, neck
+from avatarbuild.tracking import fit
 from avatarbuild.tracking.fit import Face, Pinned, State, Weights
 from avatarbuild.tracking.frames import Frame
 from avatarbuild.tracking.rig import Places, Rig
@@ -168,18 +168,17 @@ def _spread_rows(
 def gauge(rig: Rig, base: Rig, states: list[State]) -> tuple[Rig, list[State]]:
     """
     The same poses with shapes whose projection on the transferred ones is 1: B_j / s_j and w_j s_j, s_j = <B_j, B*_j> /
-    <B*_j, B*_j>, as far as no weight leaves its bounds. Without it the l1 term shrinks weights and modelling blows up
-    shapes, round by round.
+    <B*_j, B*_j>, as far as no weight exceeds 1. Without it the l1 term shrinks weights and modelling blows up shapes,
+    round by round.
     """
     s = np.einsum("jnc,jnc->j", rig.deltas, base.deltas) / np.maximum(
         np.einsum("jnc,jnc->j", base.deltas, base.deltas), 1e-12
     )
     s = np.clip(s, 0.5, 2)
-    low, high = neck.bounds()
-    most = np.max([np.abs(state.weights) for state in states], axis=0)
-    s = np.minimum(s, np.maximum(high / np.maximum(most, 1e-9), 1))
+    most = np.max([state.weights for state in states], axis=0)
+    s = np.minimum(s, np.maximum(1 / np.maximum(most, 1e-9), 1))
     scaled = Rig(rig.neutral, rig.deltas / s[:, None, None], rig.triangles)
-    return scaled, [State(state.R, state.t, np.clip(state.weights * s, low, high)) for state in states]
+    return scaled, [State(state.R, state.t, state.weights * s) for state in states]
 
 
 def learn(
