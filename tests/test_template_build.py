@@ -281,3 +281,29 @@ def test_modes_recover_known_symmetric_and_antisymmetric_motion(builder):
     np.testing.assert_allclose(mean, base, atol=0.12)
     np.testing.assert_allclose(np.abs(found[0]), up, atol=0.12)
     np.testing.assert_allclose(np.abs(found[1]), aside, atol=0.12)
+
+
+def test_nostrils_are_hollow(head):
+    """From 6 to 9 mm below the rim a way up and back through each nostril is free for 17 mm, with flesh at its end."""
+    skin = head.parts["skin"]
+    triangles = head.triangles[skin.triangles].astype(np.int64)
+    tip = head.landmarks(head.mean)[4]
+    way = np.array([0.0, 0.8, -0.6])
+    for side in (1, -1):
+        start = tip + (8.5 * side, -16.0, -6.0)
+        through = crossings(start, way, head.mean, triangles)
+        assert through[0] > 17
+        assert through[1] - through[0] > 3
+
+
+def crossings(start: np.ndarray, way: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Distances, rising, at which a ray crosses triangles [Moeller & Trumbore 1997]."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    normal = np.cross(way, c - a)
+    size = np.einsum("nx,nx->n", b - a, normal)
+    off = start - a
+    u = np.einsum("nx,nx->n", off, normal) / size
+    q = np.cross(off, b - a)
+    v = q @ way / size
+    t = np.einsum("nx,nx->n", c - a, q) / size
+    return np.sort(t[(u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)])

@@ -19,8 +19,8 @@ BOTTOM = (7153, 7154, 7155, 7156, 7157, 7158)  # the source's vertices at the bo
 
 @dataclass(frozen=True)
 class Section:
-    """Where a ring comes to lie: mm `up`, `back` and `aside`, to the septum, of the rim's middle; its extent times `wide`,
-    turned by degrees `tilt` from lying flat."""
+    """Where a ring comes to lie: mm `up`, `back` and `aside`, to the septum, of the rim's middle; its extent times
+    `wide`, turned by degrees `tilt` from lying flat."""
 
     up: float
     back: float

@@ -15,6 +15,7 @@ from sketch import View, draw, look, paint, sheet  # noqa: E402
 from avatarbuild.geometry.raster import interpolate  # noqa: E402
 from avatarbuild.template import ARKIT_NAMES, Template  # noqa: E402
 from avatarbuild.template import expression_weights as weights  # noqa: E402
+from avatarbuild.texture.occlusion import of_vertices  # noqa: E402
 
 EYE = {"size": (420, 200), "height": 45.0, "distance": 600.0}
 MOUTH = {"size": (400, 300), "height": 80.0, "distance": 600.0}
@@ -68,6 +69,18 @@ def blink(t: Template, colours: np.ndarray) -> np.ndarray:
     return sheet(pictures, 5)
 
 
+def nostrils(t: Template, colours: np.ndarray) -> np.ndarray:
+    """From below, shaded by the head's own occlusion at rest: the mean, a random head, nose sneer, smile."""
+    count = t.parts["skin"].vertices.stop
+    shaded = colours.copy()
+    shaded[:count] *= of_vertices(t.mean, t.triangles, t.parts["skin"].vertices)[0][:count, None]
+    identity = np.random.default_rng(5).standard_normal(len(t.identity))
+    sneer = t.evaluate(None, weights(noseSneerLeft=1.0, noseSneerRight=1.0))
+    smile = t.evaluate(None, weights(mouthSmileLeft=1.0, mouthSmileRight=1.0))
+    view = View(pitch=-50, size=(330, 260), height=70.0, centre=(0, -35, 20))
+    return sheet([draw(head, t.triangles, shaded, view) for head in (t.mean, t.neutral(identity), sneer, smile)], 4)
+
+
 def mouth(t: Template, colours: np.ndarray) -> np.ndarray:
     """Open mouths with teeth and tongue, and mouths that stay closed."""
     named = (
@@ -110,7 +123,7 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     template = Template.load()
     colours = paint(template)
-    makers = (neutral, identity, heads, expressions, blink, mouth, checker)
+    makers = (neutral, identity, heads, expressions, blink, nostrils, mouth, checker)
     for make in makers:
         if len(sys.argv) == 2 or make.__name__ in sys.argv[2:]:
             picture = make(template, colours)[..., ::-1]

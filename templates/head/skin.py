@@ -70,7 +70,7 @@ def paint(template: Template, size: int = SIZE) -> np.ndarray:
     red = smoothstep(lips + mouth + 0.05 * spread(fractal(q, 5.0, 2, SEED + 6)), 0.25, 0.7)
     blood += red * (1.05 + 0.12 * lines)
     melanin += red * (0.2 + 0.05 * lines)
-    blood += 0.35 * ears * _hollow(chart, template)
+    blood += (0.35 * ears + 0.6 * nose) * _hollow(chart, template)
 
     albedo = np.exp(np.log(TONE) - melanin[..., None] * MELANIN - blood[..., None] * BLOOD)
     inner = np.maximum(smoothstep(mouth, 0.3, 0.8), sockets)[..., None]
@@ -90,7 +90,7 @@ def _bumps(position: np.ndarray, centres: np.ndarray, width: float) -> np.ndarra
 
 
 def _hollow(chart: Chart, template: Template) -> np.ndarray:
-    """(t, t) in [0, 1]: how far the head hides the light of its own skin; in the ears, say."""
+    """(t, t) in [0, 1]: how far the head hides the light of its own skin; in ears and nostrils, say."""
     from avatarbuild.texture.occlusion import of_vertices
 
     open_, _ = of_vertices(template.mean, template.triangles, template.parts["skin"].vertices)
