@@ -64,7 +64,7 @@ STAGES = (
         ("capture", "cameras", "points", "neutral"),
         artefacts.Albedo,
         options.AlbedoOptions,
-        6,
+        7,
         "the skin's colour without the light",
     ),
     Stage(

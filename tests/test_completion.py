@@ -13,6 +13,7 @@ import pytest
 from avatarbuild.template import Template
 from avatarbuild.texture import completion, template_skin
 from avatarbuild.texture.chart import draw_chart, seam_ties
+from avatarbuild.texture.occlusion import of_vertices
 
 SIZE = 512
 SKIN = np.array([0.24, 0.13, 0.085])
@@ -33,14 +34,15 @@ def scene() -> SimpleNamespace:
     seen = np.where(skin & (x < 12) & (z > -50), 0.9, 0).astype(np.float32)
     albedo[seen == 0] = 0
     texture = template_skin.skin_texture(template, SIZE)
-    whole = completion.complete(albedo, seen, template, texture)
+    open_, _ = of_vertices(template.mean, template.triangles, template.parts["skin"].vertices)
+    dark = template.regions["nose"] & (open_ < 0.15)
+    whole = completion.complete(albedo, seen, template, texture, dark=dark)
+    regions = template.regions
     hidden = chart.field(
-        (template.regions["mouth"] | template.regions["sockets"] | template.regions["lips"]).astype(np.float32),
-        template.triangles,
+        (regions["mouth"] | regions["sockets"] | regions["lips"] | dark).astype(np.float32), template.triangles
     )
-    return SimpleNamespace(
-        template=template, chart=chart, albedo=albedo, seen=seen, texture=texture, whole=whole, x=x, z=z, hidden=hidden
-    )
+    fields = {"albedo": albedo, "seen": seen, "texture": texture, "whole": whole, "x": x, "z": z, "hidden": hidden}
+    return SimpleNamespace(template=template, chart=chart, dark=dark, **fields)
 
 
 def test_seen_texels_are_untouched() -> None:
@@ -151,6 +153,13 @@ def test_eyes() -> None:
         assert np.allclose(whole[upper], [0.1, 0.2, 0.3], atol=1e-5)
 
 
+def test_nostrils_are_dark_whatever_photos_show() -> None:
+    s = scene()
+    inside = (s.chart.field(s.dark.astype(np.float32), s.template.triangles) > 0.99) & (s.x < 6)
+    assert inside.sum() > 50
+    assert np.median(s.whole[inside]) < 0.4 * np.median(s.albedo[inside])
+
+
 def test_nothing_seen_gives_the_template() -> None:
     s = scene()
     whole = completion.complete(np.zeros_like(s.albedo), np.zeros_like(s.seen), s.template, s.texture)
@@ -159,7 +168,7 @@ def test_nothing_seen_gives_the_template() -> None:
 
 def test_it_repeats() -> None:
     s = scene()
-    assert np.array_equal(s.whole, completion.complete(s.albedo, s.seen, s.template, s.texture))
+    assert np.array_equal(s.whole, completion.complete(s.albedo, s.seen, s.template, s.texture, dark=s.dark))
 
 
 def test_the_shipped_texture() -> None:

@@ -70,12 +70,14 @@ def factored(fused: Fused, **weights: float) -> illumination.Light:
 
 
 def face() -> np.ndarray:
+    """(s, s) bool: the face's skin that light reaches; inside the nostrils it does not."""
     h = head()
     inside = h.chart.field(h.template.regions["face"].astype(float), h.template.triangles) > 0.99
     hidden = np.zeros(len(h.template.mean))
     for name in ("lids", "lips", "mouth", "sockets"):
         hidden[h.template.regions[name]] = 1
-    return inside & (h.chart.field(hidden, h.template.triangles) == 0)
+    lit = h.chart.field(h.open, h.template.triangles) > 0.2
+    return inside & lit & (h.chart.field(hidden, h.template.triangles) == 0)
 
 
 def spread(values: np.ndarray) -> float:

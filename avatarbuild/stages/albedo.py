@@ -23,6 +23,7 @@ from avatarbuild.texture.photos import linear_picture, placed_in_head, srgb_pict
 from avatarbuild.texture.template_skin import skin_texture
 
 LEAST_PHOTOS = 3
+_DARK = 0.15  # of the light: in the nose, less than that is the inside of a nostril
 _SURE = 0.2  # how well a texel is seen from which its fused colour stands alone
 
 
@@ -61,7 +62,8 @@ def run(
         task.advance()
         skin = skin_texture(template, options.size)
         shown = fused.seen * light.skin  # no collar, no hair: there the skin is completed
-        albedo = completion.complete(light.albedo, shown, template, skin, linear_picture(neutral.eye_texture))
+        nostrils = template.regions["nose"] & (light.open < _DARK)
+        albedo = completion.complete(light.albedo, shown, template, skin, linear_picture(neutral.eye_texture), nostrils)
         del skin
         lit = completed_lit(fused, shown, albedo, light.shading)
         task.advance()

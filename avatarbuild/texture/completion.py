@@ -45,20 +45,22 @@ def complete(
     template: Template,
     skin_texture: np.ndarray,
     eye_texture: np.ndarray | None = None,
+    dark: np.ndarray | None = None,
 ) -> np.ndarray:
     """
     (s, s, 3) float32 linear: albedo (s, s, 3) where `seen` (s, s) in [0, 1] says that photos saw the skin, bit for bit
     where they saw it well and away from the border, else completed from skin_texture (s, s, 3), linear. The other
     parts have the texture's colours, the eyes `eye_texture` (e, e, 3), linear, each stretched over its chart. Nothing
-    is left empty: texels off the charts bear a colour nearby.
+    is left empty: texels off the charts bear a colour nearby. dark (n,) bool: vertices where no light tells of the
+    skin's colour, which stays the texture's as in mouth and sockets.
     """
     size = albedo.shape[0]
     chart = draw_chart(template, template.uv, template.uv_triangles, size)
     skin = chart.part == 1
     scale = texels_per_mm(template, template.mean, size)
-    hidden = chart.field(
-        (template.regions["mouth"] | template.regions["sockets"]).astype(np.float32), template.triangles
-    )
+    inside = template.regions["mouth"] | template.regions["sockets"]
+    inside = inside if dark is None else inside | dark
+    hidden = chart.field(inside.astype(np.float32), template.triangles)
     soft = _soft(template, chart)
     albedo, seen = _across_specks(albedo, seen * skin, skin & (soft < _SOFT), scale)
     weight = _weight(seen, skin, hidden > 0.5, soft, scale)
@@ -70,7 +72,7 @@ def complete(
         fine = _laid_out(albedo, weight, skin, hidden, scale)
         _mix_across(fine, seam_ties(template, chart), skin, _ACROSS * scale)
         w = weight[at][:, None]
-        # mouth and sockets keep the template's own contrast: no pores there
+        # mouth, sockets and nostrils keep the template's own contrast: no pores there
         rough = fine[at][:, None] * (1 - np.clip(2 * hidden[at], 0, 1))[:, None]
         new = np.log(np.maximum(skin_texture[at], _LEAST)) + u[at] + rough
         own = np.log(np.maximum(albedo[at], _LEAST))

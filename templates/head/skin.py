@@ -33,6 +33,7 @@ TONE = np.array([0.44, 0.262, 0.178])  # linear: the middle of the range of skin
 MELANIN = np.array([0.34, 0.60, 0.86])
 BLOOD = np.array([0.06, 0.44, 0.40])
 FLESH = np.array([0.30, 0.085, 0.075])  # the mouth's inside and behind the lids
+NOSTRIL = 0.3 * FLESH  # dark as it looks: few renderers know how little light comes there
 CHEEKS, NOSE, CHIN, UNDER_EYES = (50, 280), (4,), (152, 175), (119, 348)
 
 
@@ -70,11 +71,13 @@ def paint(template: Template, size: int = SIZE) -> np.ndarray:
     red = smoothstep(lips + mouth + 0.05 * spread(fractal(q, 5.0, 2, SEED + 6)), 0.25, 0.7)
     blood += red * (1.05 + 0.12 * lines)
     melanin += red * (0.2 + 0.05 * lines)
-    blood += (0.35 * ears + 0.6 * nose) * _hollow(chart, template)
+    hollow = _hollow(chart, template)
+    blood += 0.35 * ears * hollow
 
     albedo = np.exp(np.log(TONE) - melanin[..., None] * MELANIN - blood[..., None] * BLOOD)
     inner = np.maximum(smoothstep(mouth, 0.3, 0.8), sockets)[..., None]
     albedo = albedo + inner * (FLESH - albedo)
+    albedo = albedo + smoothstep(nose * hollow, 0.7, 0.85)[..., None] * (NOSTRIL - albedo)
     for name, image in _parts(template, chart).items():
         at = chart.part == list(template.parts).index(name)
         albedo[at] = image[at]
