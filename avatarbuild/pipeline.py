@@ -90,7 +90,7 @@ STAGES = (
         ("capture", "albedo", "blendshapes", "tracking"),
         artefacts.Refinement,
         options.RefinementOptions,
-        4,
+        5,
         "the expressions refined by the light on the skin",
     ),
     Stage(

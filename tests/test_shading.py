@@ -19,6 +19,7 @@ from avatarbuild.shading.relief import ReliefWeights, _Hollow, light_seen, relie
 from avatarbuild.shading.surface import Drawn, draw, fine_skin
 from avatarbuild.simulation.subject import random_subject
 from avatarbuild.stages.refinement import untouched
+from avatarbuild.tracking import modelling
 from avatarbuild.tracking.fit import State
 from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.rig import Rig
@@ -191,6 +192,13 @@ def test_shapes_follow_depth_maps() -> None:
     assert np.abs(moved - bulge)[on].mean() < 0.5 * bulge[on].mean()
     other = np.delete(np.arange(51), smile)
     assert np.abs(made.deltas[other] - rig.deltas[other]).max() < 1e-6
+
+    wild = replace(asked, offset=40 * bulge)  # no shape is believed to stray as far as that
+    far = registration.refine(template, rig, rig, [state] * 8, [wild] * 8, np.array([0, 0, 1.0]))
+    freedom = registration.FREEDOM
+    space = modelling.Space(template, rig, np.array([0, 0, 1.0]), freedom)
+    y = ((far.deltas - rig.deltas)[:, space.free] @ space.back) / space.stray[1:, :, None]
+    assert 2.5 < np.linalg.norm(y, axis=2).max() <= 3.0
 
 
 def test_the_head_is_drawn_smooth_and_lit_by_its_albedo() -> None:

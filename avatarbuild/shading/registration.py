@@ -28,6 +28,7 @@ from avatarbuild.tracking.rig import Rig
 FREEDOM = Freedom(share=0.03, least=0.015, length=20.0, depth=10.0, neutral=0.003, worth=0.2, steps=30)
 """Ten times freer along the line of sight than across it: there lies what shading knows and points do not. Across it
 points know more, and the skin would slide."""
+_SIGMAS = 3.0  # of the prior: as far as a shape is believed to stray at a vertex
 _RIM = 7  # pixels of the face's border whose depth is not used
 _COVER = 3.0  # mm: a vertex this far from what its pixel shows is hidden
 _FACING = 0.2
@@ -67,7 +68,8 @@ def refine(
 ) -> Rig:
     """
     The rig nearest to `base` that meets the planes of all frames, which tell how far off `drawn` is; axis (3,) the mean
-    line of sight, head frame.
+    line of sight, head frame. Of what a shape strays at a vertex, y standard deviations of the prior, y / sqrt(1 +
+    |y|^2 / _SIGMAS^2) stay: where slopes were read wrongly in one frame, a ridge would stand out at weight 1.
     """
     space = Space(template, base, axis, freedom)
     free, count = space.free, len(states)
@@ -85,4 +87,9 @@ def refine(
 
     still = np.zeros((1 + len(base.deltas), len(free), 3))
     diagonal = worth[..., None] * normal**2
-    return nearest(space, base, with_rest(states), pulled, diagonal, along(worth * offset), still, freedom)
+    found = nearest(space, base, with_rest(states), pulled, diagonal, along(worth * offset), still, freedom)
+    strayed = (found.deltas - base.deltas)[:, free]
+    y = np.linalg.norm(strayed @ space.back, axis=2) / space.stray[1:]
+    deltas = found.deltas.copy()
+    deltas[:, free] = base.deltas[:, free] + strayed / np.sqrt(1 + (y / _SIGMAS) ** 2)[..., None]
+    return Rig(found.neutral, deltas, found.triangles)
