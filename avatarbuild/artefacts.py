@@ -372,7 +372,8 @@ class Blendshapes:
 
 
 _PERFORMANCE_ARRAYS = (
-    *("times", "weights", "rotation", "translation", "quality", "gaze", "processed", "modelled"),
+    *("times", "weights", "rotation", "translation", "torso_rotation", "torso_translation", "neck"),
+    *("quality", "gaze", "processed", "modelled"),
     *("neutral", "deltas", "eye_centres", "evidence"),
 )
 
@@ -387,6 +388,8 @@ class Performance:
     focal, k1    the clip's lens: pixels, radial distortion (the principal point is the middle of the picture)
     times        (f,) s, first 0;  weights (f, 52) in ARKit's order, 0..1
     rotation, translation  (f, 3, 3), (f, 3): x_cam = R x + t, mm, head frame to OpenCV camera axes
+    torso_rotation, torso_translation  the same of a head that had not moved on its body;  neck (2,) mm: the heights, in
+                 the head frame, between which the neck bends from the head's pose to this one
     quality      (f,) in 0..1: 0 lost, its pose interpolated and its weights held
     gaze         (f, 2, 2) radians: left and right eye, yaw (positive: to the subject's left), pitch (positive: up)
     processed    (j,) int: the frames that were tracked in full;  modelled (j,) bool: those that taught the shapes
@@ -403,6 +406,9 @@ class Performance:
     weights: np.ndarray
     rotation: np.ndarray
     translation: np.ndarray
+    torso_rotation: np.ndarray
+    torso_translation: np.ndarray
+    neck: np.ndarray
     quality: np.ndarray
     gaze: np.ndarray
     processed: np.ndarray

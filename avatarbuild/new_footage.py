@@ -25,7 +25,7 @@ from avatarbuild.tracking import alternation, full_rate
 from avatarbuild.tracking.fit import Weights
 from avatarbuild.tracking.full_rate import Sightings
 from avatarbuild.tracking.lens import Lens
-from avatarbuild.tracking.neck import SHAPES
+from avatarbuild.tracking.neck import SHAPES, UNBENT
 from avatarbuild.tracking.subject import kept_frame, said, score_level, subject
 from avatarbuild.tracking.take import performance, warnings_of
 
@@ -85,7 +85,11 @@ def track(
             *(face, skin, template, eyes, sightings, [], level, video.decode_frames(path), weights, task.advance, {})
         )
     none = np.zeros(0)
-    made = performance(*(template, clip, face.lens, rig, whole, none.astype(int), none.astype(bool), tracking.evidence))
+    heights = UNBENT if face.torso is None else face.torso.heights
+    made = performance(
+        *(template, clip, face.lens, rig, heights, whole),
+        *(none.astype(int), none.astype(bool), tracking.evidence),
+    )
     figures = {
         "frames": len(made.times),
         "seconds": round(float(made.times[-1]), 2),

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from avatarbuild.artefacts import Blendshapes, Performance
 from avatarbuild.template import ARKIT_NAMES, expression_weights
+from avatarbuild.tracking.neck import UNBENT
 
 FLIP = np.diag([1.0, -1.0, -1.0])  # a head that looks into the camera
 
@@ -44,6 +45,9 @@ def performance(
         weights=weights,
         rotation=FLIP @ turn,
         translation=np.column_stack([20 * s, 10 * s - 5, distance + 0 * s]),
+        torso_rotation=FLIP @ turn,
+        torso_translation=np.column_stack([20 * s, 10 * s - 5, distance + 0 * s]),
+        neck=UNBENT,
         quality=np.where(np.arange(count) == 0, 0.0, 0.9),
         gaze=np.stack([np.column_stack([0.3 * s, -0.2 * s]), np.column_stack([0.3 * s, -0.2 * s])], axis=1),
         processed=processed,
@@ -60,7 +64,8 @@ def nothing(shapes: Blendshapes) -> Performance:
     """Without a video: no frames, the transferred rig."""
     none = np.zeros(0)
     return Performance(
-        *("", (0, 0), 0.0, 0.0, 0.0, none, np.zeros((0, 52)), np.zeros((0, 3, 3)), np.zeros((0, 3)), none),
-        *(np.zeros((0, 2, 2)), np.zeros(0, int), np.zeros(0, bool)),
+        *("", (0, 0), 0.0, 0.0, 0.0, none, np.zeros((0, 52)), np.zeros((0, 3, 3)), np.zeros((0, 3))),
+        *(np.zeros((0, 3, 3)), np.zeros((0, 3)), UNBENT, none, np.zeros((0, 2, 2))),
+        *(np.zeros(0, int), np.zeros(0, bool)),
         *(shapes.neutral, shapes.deltas, shapes.eye_centres, np.zeros(52)),
     )

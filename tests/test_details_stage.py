@@ -25,6 +25,7 @@ from avatarbuild.simulation.noise import fractal
 from avatarbuild.stages import avatar, details, refinement
 from avatarbuild.template import ARKIT_NAMES
 from avatarbuild.tracking.lens import Lens
+from avatarbuild.tracking.neck import UNBENT
 
 SIZE = (180, 240)
 LENS = Lens(310.0, 0.0, SIZE)
@@ -94,7 +95,7 @@ def performance() -> Performance:
     s = shapes()
     return Performance(
         *("clip.mp4", SIZE, 10.0, LENS.focal, 0.0, np.arange(FRAMES) / 10, weights()),
-        *(np.repeat(R[None], FRAMES, axis=0), np.repeat(T[None], FRAMES, axis=0), np.ones(FRAMES)),
+        *(*(2 * [np.repeat(R[None], FRAMES, axis=0), np.repeat(T[None], FRAMES, axis=0)]), UNBENT, np.ones(FRAMES)),
         *(np.zeros((FRAMES, 2, 2)), np.arange(FRAMES), np.ones(FRAMES, bool)),
         *(s.neutral, s.deltas, s.eye_centres, np.zeros(52)),
     )

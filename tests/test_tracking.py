@@ -19,9 +19,10 @@ from avatarbuild.geometry.rotations import rotation
 from avatarbuild.solvers.boxed import boxed, reduced
 from avatarbuild.stages import tracking
 from avatarbuild.template import ARKIT_NAMES, Template, expression_weights
-from avatarbuild.tracking import dense, fit, full_rate, gaze, lids, modelling, neck
+from avatarbuild.tracking import body, dense, fit, full_rate, gaze, lids, modelling, neck
 from avatarbuild.tracking import markers as marking
 from avatarbuild.tracking.alternation import Eyes, Tracked, as_shown, evidence, looking_ahead, pulled, regard
+from avatarbuild.tracking.body import Motion
 from avatarbuild.tracking.fit import Face, Pinned, State, Weights
 from avatarbuild.tracking.frames import Frame
 from avatarbuild.tracking.lens import Lens
@@ -216,20 +217,25 @@ def test_a_neck_that_pulls_at_the_chin_moves_no_jaw() -> None:
 
 
 def test_the_torso_is_told_from_jaws_that_drop() -> None:
-    """A third of the frames show a jaw that pulls looked like taking up; the others what a still torso does."""
+    """
+    A third of the frames show a jaw that pulls looked like taking up; the others what a torso does, which stands still
+    in the room while the camera sways.
+    """
     t, rng = template(), np.random.default_rng(3)
     chin = t.landmarks(t.mean)[t.landmarks68][8]
-    poses = []
+    poses, moved = [], []
     for _ in range(40):
         turn = cv2.Rodrigues(rng.normal(0, 0.08, 3))[0]
-        poses.append((UPRIGHT @ turn, np.array([0.0, 0.0, 450.0]) + rng.normal(0, 6, 3)))
-    still = neck.Torso(UPRIGHT, np.array([0.0, 0.0, 450.0]), chin, 0.3, np.array([-1.0, 0.5]))
-    seen = np.array([still.weights(R, place) for R, place in poses])
+        moved.append(Motion(cv2.Rodrigues(rng.normal(0, 0.03, 3))[0], rng.normal(0, 10, 3)))
+        poses.append(moved[-1].of(UPRIGHT @ turn, np.array([0.0, 0.0, 450.0]) + rng.normal(0, 6, 3)))
+    offset = np.array([-1.0, 0.5])
+    still = neck.Torso(UPRIGHT, np.array([0.0, 0.0, 450.0]), None, chin[1] + 20, chin, 0.3, offset)
+    seen = np.array([still.weights(*pose, m) for pose, m in zip(poses, moved, strict=True)])
     seen[::3, 1] -= 1.0
-    found = neck.torso(t, t.mean, poses, seen)
+    found = neck.torso(t, t.mean, poses, moved, None, seen)
     assert abs(found.share - 0.3) < 0.05
-    wanted = np.array([still.weights(R, place) for R, place in poses])
-    off = np.array([found.weights(R, place) for R, place in poses]) - wanted
+    wanted = np.array([still.weights(*pose, m) for pose, m in zip(poses, moved, strict=True)])
+    off = np.array([found.weights(*pose, m) for pose, m in zip(poses, moved, strict=True)]) - wanted
     assert neck.UNIT * np.abs(off[:, :2]).max() < 1.0  # mm
 
     f = replace(face(), torso=found)
@@ -239,12 +245,58 @@ def test_the_torso_is_told_from_jaws_that_drop() -> None:
     )
     held = pulled(f, one)
     for values in (held.state.weights, held.frame.low, held.frame.high):
-        np.testing.assert_array_equal(values[SHAPES:], found.weights(R, place))
+        np.testing.assert_array_equal(values[SHAPES:], found.weights(R, place, None))
     fields = np.tensordot(held.state.weights[SHAPES:], f.rig.deltas[SHAPES:], axes=1)
     at = int(np.linalg.norm(t.mean - chin, axis=1).argmin())
     passing = found.share * ((t.mean[at] @ found.R.T + found.t - place) @ R - t.mean[at])
     passing[:2] += found.offset
     assert np.linalg.norm(fields[at] - passing) < 0.5
+
+
+def test_the_body_is_found_again_below_the_chin() -> None:
+    """A flat body with a collar and stripes, 450 mm away; the camera sways, comes nearer and rolls."""
+    lens = Lens(1400.0, 0.0, (1080, 1920))
+    still = np.array([10.0, 60.0, 450.0])
+
+    def picture(motion: Motion) -> np.ndarray:
+        y, x = np.mgrid[:1920:4, :1080:4] + 2.0
+        rays = np.stack([(x - 540) / lens.focal, (y - 960) / lens.focal, np.ones_like(x)], axis=-1) @ motion.R
+        depth = (still[2] + motion.R.T[2] @ motion.t) / rays[..., 2]  # the body's plane, z = 450 in its own frame
+        at = rays * depth[..., None] - motion.R.T @ motion.t - still
+        collar = np.hypot(at[..., 0] / 60, (at[..., 1] - 20) / 40) < 1
+        cloth = 140 + 30 * np.sin(at[..., 1] / 4) + 20 * np.sin(at[..., 0] / 40 + at[..., 1] / 90)
+        grey = np.where(collar, 190 + at[..., 0] / 4, cloth).clip(0, 255).astype(np.uint8)
+        return body.whole(np.repeat(grey[..., None], 3, axis=2))
+
+    chin, bridge = lens.project(still + np.array([[0.0, -10, 0], [0, -95, 0]]))[0]
+    patch = body.patch(picture(body.STILL), chin, bridge, 450.0, lens)
+    assert patch is not None
+    rolled = cv2.Rodrigues(np.array([0, 0, 0.03]))[0]
+    for moved in (body.STILL, Motion(np.eye(3), np.array([9.0, -6, 0])), Motion(rolled, np.array([-5.0, 4, -12]))):
+        found = patch.find(picture(moved))
+        assert found is not None
+        off = found.R @ still + found.t - (moved.R @ still + moved.t)
+        assert np.abs(off).max() < 1.0  # mm
+        assert abs(found.R[1, 0] - moved.R[1, 0]) < 0.006
+    rng = np.random.default_rng(1)
+    assert patch.find(body.whole(rng.integers(0, 255, (1920, 1080, 3), np.uint8))) is None
+    assert patch.find(np.zeros((0, 0), np.float32)) is None
+    low = chin + np.array([0, 850.0])
+    assert body.patch(patch.picture, low, low - (chin - bridge), 450.0, lens) is None
+
+
+def test_a_neck_goes_from_the_head_s_pose_to_the_torso_s() -> None:
+    t = template()
+    begin, chin = -80.0, np.array([0.0, -105.0, 5.0])
+    R, place = UPRIGHT @ cv2.Rodrigues(np.array([0.05, -0.1, 0.02]))[0], np.array([3.0, -8.0, 455.0])
+    torso = neck.Torso(UPRIGHT, np.array([0.0, 0.0, 450.0]), None, begin, chin, 0.3, np.zeros(2))
+    high, edge, low = np.array([[0.0, -70.0, 20.0], chin, [0.0, torso.heights[1] - 1, -20.0]])[:, None]
+    still = torso.at(None)
+    shown = [neck.bent(x, x, torso.heights, (R, place), still) @ R.T + place for x in (high, edge, low)]
+    np.testing.assert_allclose(shown[0], high @ R.T + place, atol=1e-9)
+    np.testing.assert_allclose(shown[1], 0.7 * (edge @ R.T + place) + 0.3 * (edge @ still[0].T + still[1]), atol=1e-9)
+    np.testing.assert_allclose(shown[2], low @ still[0].T + still[1], atol=1e-9)
+    np.testing.assert_allclose(neck.bent(t.mean, t.mean, neck.UNBENT, (R, place), still), t.mean, atol=1e-4)
 
 
 def test_a_finer_picture_says_no_more_of_the_weights() -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from avatarbuild.geometry.meshes import vertex_normals
+from avatarbuild.shading.observation import View
 from avatarbuild.shading.relief import Relief
 from avatarbuild.shading.surface import Drawn
 from avatarbuild.template import Template
@@ -43,10 +44,10 @@ class Planes:
     sure: np.ndarray
 
 
-def planes(template: Template, rig: Rig, state: State, lens: Lens, drawn: Drawn, relief: Relief) -> Planes:
-    """Equation (14)'s n, p and certainty at the skin's vertices."""
+def planes(template: Template, head: View, lens: Lens, drawn: Drawn, relief: Relief) -> Planes:
+    """Equation (14)'s n, p and certainty at the vertices of the skin of a head that was drawn."""
     part = template.parts["skin"]
-    camera = rig.posed(state.weights)[: part.vertices.stop] @ state.R.T + state.t
+    camera = head.vertices[: part.vertices.stop] @ head.R.T + head.t
     normals = vertex_normals(camera, template.triangles[part.triangles])
     at = drawn.pixels(lens.project(camera)[0])[:, ::-1].T
     on = cv2.erode(drawn.on.astype(np.uint8), np.ones((_RIM, _RIM), np.uint8)) * relief.sure
@@ -54,7 +55,7 @@ def planes(template: Template, rig: Rig, state: State, lens: Lens, drawn: Drawn,
     depth = map_coordinates(drawn.point[..., 2], at, order=0)
     into = (normals * camera).sum(axis=1) / np.linalg.norm(camera, axis=1)
     sure = sure * (np.abs(depth - camera[:, 2]) < _COVER) * np.clip((-into - _FACING) / 0.5, 0, 1)
-    return Planes(normals @ state.R, d * into, np.clip(sure, 0, 1))
+    return Planes(normals @ head.R, d * into, np.clip(sure, 0, 1))
 
 
 def refine(

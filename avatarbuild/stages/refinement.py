@@ -24,6 +24,7 @@ from avatarbuild.texture import occlusion
 from avatarbuild.tracking.alternation import as_shown
 from avatarbuild.tracking.fit import State
 from avatarbuild.tracking.lens import Lens
+from avatarbuild.tracking.neck import bent
 from avatarbuild.tracking.rig import Rig
 
 log = logging.getLogger(__name__)
@@ -63,11 +64,12 @@ def run(
             capture, now, rows, template, skin, options.pixel, progress, f"The light on the face{turn}"
         )
 
-        def asked(k: int, rig: Rig = rig, watched: Watched = watched) -> registration.Planes:
+        def asked(k: int, now: Performance = now, watched: Watched = watched) -> registration.Planes:
             one = watched.frames[k]
             seen = light_seen(one.drawn, one.grey, float(watched.light.gains[k]), watched.more(one.drawn))
             found = relief(one.drawn, seen, watched.light, lens, MEDIUM)
-            return registration.planes(template, rig, states[k], lens, one.drawn, found)
+            head = posed(now, int(now.processed[rows[k]]), int(rows[k]))
+            return registration.planes(template, head, lens, one.drawn, found)
 
         planes = []
         with progress.task(f"Depth maps{turn}", len(rows)) as task:
@@ -139,6 +141,8 @@ def watched_clip(
 
 
 def posed(performance: Performance, frame: int, row: int) -> View:
-    """A decoded frame's head and camera."""
+    """A decoded frame's head and camera, the neck bent as it was."""
     vertices = performance.neutral + np.tensordot(performance.weights[frame], performance.deltas.astype(np.float64), 1)
-    return View(row, vertices, performance.rotation[frame], performance.translation[frame])
+    R, t = performance.rotation[frame], performance.translation[frame]
+    torso = performance.torso_rotation[frame], performance.torso_translation[frame]
+    return View(row, bent(vertices, performance.neutral, performance.neck, (R, t), torso), R, t)

@@ -27,7 +27,7 @@ from avatarbuild.tracking.full_rate import Sightings
 from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.markers import Clicks
 from avatarbuild.tracking.modelling import Freedom
-from avatarbuild.tracking.neck import SHAPES
+from avatarbuild.tracking.neck import SHAPES, UNBENT
 from avatarbuild.tracking.subject import kept_frames, said, score_level, subject
 from avatarbuild.tracking.take import performance, warnings_of
 
@@ -99,10 +99,9 @@ def run(
             *(video.decode_frames(path, range(len(clip.times))), weights, task.advance, clicks),
         )
     numbers = np.array([one.number for one in frames])
-    made = performance(
-        *(template, clip, face.lens, replace(blendshapes, neutral=rig.neutral, deltas=rig.deltas), whole),
-        *(numbers, teaching, evidence),
-    )
+    own = replace(blendshapes, neutral=rig.neutral, deltas=rig.deltas)
+    heights = UNBENT if face.torso is None else face.torso.heights
+    made = performance(template, clip, face.lens, own, heights, whole, numbers, teaching, evidence)
     quality = np.array([one.quality for one in tracked])
     figures = {
         "frames": len(clip.times),
@@ -132,6 +131,9 @@ def without(blendshapes: Blendshapes, warning: str) -> Performance:
         weights=np.zeros((0, len(ARKIT_NAMES))),
         rotation=np.zeros((0, 3, 3)),
         translation=np.zeros((0, 3)),
+        torso_rotation=np.zeros((0, 3, 3)),
+        torso_translation=np.zeros((0, 3)),
+        neck=UNBENT,
         quality=none,
         gaze=np.zeros((0, 2, 2)),
         processed=np.zeros(0, int),

@@ -20,7 +20,7 @@ from avatarbuild.geometry.mipmap import Mipmap
 from avatarbuild.landmarks import canonical_face
 from avatarbuild.parallel import each_alone
 from avatarbuild.template import ARKIT_NAMES, Template
-from avatarbuild.tracking import dense, fit, gaze, lens_fit, lids, neck
+from avatarbuild.tracking import body, dense, fit, gaze, lens_fit, lids, neck
 from avatarbuild.tracking.fit import Face, Pinned, State, Weights
 from avatarbuild.tracking.frames import Frame
 from avatarbuild.tracking.lens import Lens
@@ -34,6 +34,7 @@ _STEPS = 3
 BLINKS = [ARKIT_NAMES.index(name) for name in ("eyeBlinkLeft", "eyeBlinkRight")]
 _DOWNS = [ARKIT_NAMES.index(name) for name in ("eyeLookDownLeft", "eyeLookDownRight")]
 _WIDES = [ARKIT_NAMES.index(name) for name in ("eyeWideLeft", "eyeWideRight")]
+_CHIN, _BRIDGE = 8, 27  # of the 68 landmarks
 _MOSTLY = 0.5  # of the frames
 _SURE = 0.6  # quality from which a frame may tell about the lens
 _LENS_FRAMES = 6
@@ -179,10 +180,10 @@ def pulled(face: Face, one: Tracked) -> Tracked:
     """The frame with the neck's pulls held where the torso, if it is known, has them at the frame's present pose."""
     if face.torso is None:
         return one
-    frame, state = one.frame, one.state
+    frame, state = _with_body(face.torso.patch, one).frame, one.state
     weights, low, high = state.weights.copy(), frame.low.copy(), frame.high.copy()
     for values in (weights, low, high):
-        values[neck.SHAPES :] = face.torso.weights(state.R, state.t)
+        values[neck.SHAPES :] = face.torso.weights(state.R, state.t, frame.moved)
     return replace(one, frame=replace(frame, low=low, high=high), state=replace(state, weights=weights))
 
 
@@ -207,7 +208,7 @@ def begin(
     for _ in range(2):
         tracked = list(each_alone(lambda one: seek(face, skin, one, w, ()), tracked))
     face, tracked = _lens(face, tracked)
-    face = _with_torso(template, face, tracked)
+    face, tracked = _with_torso(template, face, tracked)
     tracked = [pulled(face, one) for one in tracked]
     # the pose by the detector alone nods where the jaw drops, and the gaze with it
     eyes = looking_ahead(face, tracked, eyes)
@@ -291,15 +292,31 @@ def _lens(face: Face, tracked: list[Tracked]) -> tuple[Face, list[Tracked]]:
     return replace(face, lens=lens), tracked
 
 
-def _with_torso(template: Template, face: Face, tracked: list[Tracked]) -> Face:
-    """The face with the torso that the good frames tell of, whose pulls were free."""
-    good = [one.state for one in tracked if one.quality >= _WORSE]
+def _with_torso(template: Template, face: Face, tracked: list[Tracked]) -> tuple[Face, list[Tracked]]:
+    """The face with the torso that the good frames tell of, whose pulls were free, and the frames with the body's."""
+    good = [one for one in tracked if one.quality >= _WORSE]
     if not good:
-        return face
-    poses, seen = [(s.R, s.t) for s in good], np.array([s.weights[neck.SHAPES :] for s in good])
-    torso = neck.torso(template, face.rig.neutral, poses, seen)
-    log.info("the chin's edge makes %.2f of the torso's motion past the head", torso.share)
-    return replace(face, torso=torso)
+        return face, tracked
+    middle = np.median([one.state.t for one in good], axis=0)
+    usual = min(good, key=lambda one: float(np.linalg.norm(one.state.t - middle)))
+    marks = template.landmarks(face.rig.neutral)[template.landmarks68] @ usual.state.R.T + usual.state.t
+    pixels = face.lens.project(marks)[0]
+    patch = body.patch(usual.frame.whole, pixels[_CHIN], pixels[_BRIDGE], float(marks[_CHIN, 2]), face.lens)
+    tracked = list(each_alone(lambda one: _with_body(patch, one), tracked))
+    good = [one for one in tracked if one.quality >= _WORSE]
+    poses, seen = [(s.state.R, s.state.t) for s in good], np.array([s.state.weights[neck.SHAPES :] for s in good])
+    moved = [one.frame.moved for one in good]
+    torso = neck.torso(template, face.rig.neutral, poses, moved, patch, seen)
+    found = sum(one is not None for one in moved)
+    log.info("the body found in %d of %d frames; the chin makes %.2f of its motion", found, len(good), torso.share)
+    return replace(face, torso=torso), tracked
+
+
+def _with_body(patch: body.Patch | None, one: Tracked) -> Tracked:
+    """The frame with the body's motion."""
+    if patch is None or one.frame.moved is not None:
+        return one
+    return replace(one, frame=replace(one.frame, moved=patch.find(one.frame.whole)))
 
 
 def _size(one: Tracked) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from avatarbuild.tracking import neck
+from avatarbuild.tracking import body, neck
 from avatarbuild.tracking.lids import eye_shown
 from avatarbuild.tracking.markers import SKIN, Clicks
 from avatarbuild.tracking.samples import log_grey
@@ -23,7 +23,8 @@ class Frame:
     number among the decoded frames, time s; marks (478, 3) pixels of the detector and its presence, NaN where it found
     nothing; scores (a,) its opinion of the shapes' weights, NaN where it has none; low, high (a,) the weights' bounds;
     corner (2,) pixels of the crop and its pyramid, finest first; clicks: points that the user has set;
-    shown (2,) how much of the left and the right eye shows (`lids.eye_shown`), and shut (2,) how far they are shut.
+    shown (2,) how much of the left and the right eye shows (`lids.eye_shown`), and shut (2,) how far they are shut;
+    whole (h, w) the picture in which the body is looked for (`body.whole`), and moved what it did there, None unknown.
     """
 
     number: int
@@ -38,6 +39,8 @@ class Frame:
     clicks: Clicks | None = None
     shown: np.ndarray = field(default_factory=lambda: np.full(2, np.nan))
     shut: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    whole: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    moved: body.Motion | None = None
 
 
 @dataclass(frozen=True)
@@ -79,4 +82,5 @@ def frame(
         *(number, time, marks, presence, neck.padded(scores, np.nan), *neck.bounds(), low.astype(np.float64)),
         *(pyramid, clicks),
         shown=eye_shown(rgb, marks),
+        whole=body.whole(rgb),
     )

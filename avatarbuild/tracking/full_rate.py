@@ -44,12 +44,16 @@ class Sightings:
 
 @dataclass(frozen=True)
 class Found:
-    """A decoded frame's number, its state, its quality in 0..1 (0: lost) and its gaze (2, 2) radians, NaN unknown."""
+    """
+    A decoded frame's number, its state, its quality in 0..1 (0: lost), its gaze (2, 2) radians, NaN unknown, and the
+    pose R, t of a head that had not moved on its body.
+    """
 
     number: int
     state: State
     quality: float
     gaze: np.ndarray
+    torso: tuple[np.ndarray, np.ndarray]
 
 
 def follow(
@@ -89,7 +93,8 @@ def follow(
             near = seek(face, skin, begun, w, (), coarse)
             one = seek(face, skin, near, w, (fine,), fine)
             one = regard(face, one, template, eyes)
-        return Found(number, one.state, one.quality, one.gaze)
+        unmoved = (one.state.R, one.state.t) if face.torso is None else face.torso.at(one.frame.moved)
+        return Found(number, one.state, one.quality, one.gaze, unmoved)
 
     out = []
     for one in each_alone(look, decoded if len(sightings.numbers) else ()):

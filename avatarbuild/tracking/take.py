@@ -22,6 +22,7 @@ def performance(
     clip: Clip,
     lens: Lens,
     rig: Blendshapes,
+    heights: np.ndarray,
     whole: list[Found],
     processed: np.ndarray,
     modelled: np.ndarray,
@@ -29,22 +30,24 @@ def performance(
 ) -> Performance:
     """
     Every decoded frame of a clip, smoothed without lag; lost ones between their neighbours. processed (j,) frames were
-    tracked in full, modelled (j,) bool taught the `rig`.
+    tracked in full, modelled (j,) bool taught the `rig`; heights (2,) mm between which the neck bends.
     """
     f = len(clip.times)
     quality, angles = np.zeros(f), np.full((f, 2, 2), np.nan)
-    weights, pose = np.zeros((f, len(ARKIT_NAMES))), np.zeros((f, 6))
+    weights, pose, torso = np.zeros((f, len(ARKIT_NAMES))), np.zeros((f, 6)), np.zeros((f, 6))
     for one in whole:
         i = one.number
         quality[i], angles[i] = one.quality, one.gaze
         weights[i, :SHAPES] = one.state.weights[:SHAPES]
         pose[i] = np.r_[cv2.Rodrigues(one.state.R)[0].ravel(), one.state.t]
+        torso[i] = np.r_[cv2.Rodrigues(one.torso[0])[0].ravel(), one.torso[1]]
     good = quality > 0
     at = np.arange(f)
     if good.any():
-        pose[:, :3] = _continuous(pose[:, :3], good)
-        for k in range(6):
-            pose[:, k] = np.interp(at, at[good], pose[good, k])
+        for path in (pose, torso):
+            path[:, :3] = _continuous(path[:, :3], good)
+            for k in range(6):
+                path[:, k] = np.interp(at, at[good], path[good, k])
         last = np.maximum.accumulate(np.where(good, at, -1))
         weights = weights[np.where(last >= 0, last, int(np.argmax(good)))]
     looking = gaze.held(angles, good[:, None] & (weights[:, BLINKS] < 0.5))
@@ -55,7 +58,7 @@ def performance(
     weights = np.clip(smoothed(weights, quality, clip.fps), 0, 1)
     for i, j in limits_of(template).items():
         weights[:, i] = np.minimum(weights[:, i], weights[:, j])
-    pose = smoothed(pose, quality, clip.fps)
+    pose, torso = (smoothed(path, quality, clip.fps) for path in (pose, torso))
     return Performance(
         video=clip.file,
         size=clip.size,
@@ -66,6 +69,9 @@ def performance(
         weights=weights,
         rotation=np.stack([cv2.Rodrigues(row[:3])[0] for row in pose]),
         translation=pose[:, 3:],
+        torso_rotation=np.stack([cv2.Rodrigues(row[:3])[0] for row in torso]),
+        torso_translation=torso[:, 3:],
+        neck=heights,
         quality=quality,
         gaze=looking,
         processed=processed,
