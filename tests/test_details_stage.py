@@ -20,7 +20,7 @@ from avatarbuild.options import DetailsOptions, RefinementOptions
 from avatarbuild.progress import Silent
 from avatarbuild.report.wrinkles import wrinkles_section
 from avatarbuild.shading.light import Light
-from avatarbuild.shading.surface import draw, fine_skin
+from avatarbuild.shading.surface import draw, fine_skin, normals_of_all
 from avatarbuild.simulation.noise import fractal
 from avatarbuild.stages import avatar, details, refinement
 from avatarbuild.template import ARKIT_NAMES
@@ -120,6 +120,20 @@ def test_refinement_leaves_true_shapes_nearly_alone() -> None:
     still = [i for i in range(51) if i not in BROWS and ARKIT_NAMES[i] != "mouthClose"]
     assert np.abs(refined().deltas[still] - shapes().deltas[still]).max() < 0.5
     assert np.isfinite(refined().light).all()
+
+
+def test_eyeballs_hide_their_sockets() -> None:
+    template = synthetic.template()
+    skin = fine_skin(template, albedo().albedo, np.ones(template.vertex_count))
+    head = shapes().neutral
+    whole = draw(skin, head, LENS, R, T, 1, whole=True)
+    normal = normals_of_all(template, whole, head, LENS, R, T)
+    for centre in template.eye_centres:
+        x, y = LENS.project(centre @ R.T + T)[0].astype(int)
+        assert normal[y, x, 2] < -0.9
+    changed = np.abs(normal - whole.normal).max(axis=-1) > 0.01
+    assert not changed[whole.on].any()
+    assert changed.sum() < 0.05 * whole.on.sum()
 
 
 def test_furrows_come_with_the_brows_and_go_without_them() -> None:

@@ -133,6 +133,23 @@ def draw(
     return Drawn(factor, first, point, normal.astype(np.float32), uv, tone, facing.astype(np.float32), on)
 
 
+def normals_of_all(
+    template: Template, drawn: Drawn, vertices: np.ndarray, lens: Lens, R: np.ndarray, t: np.ndarray
+) -> np.ndarray:
+    """
+    (h, w, 3) float32 a drawing's normals, and those of eyeballs, teeth and tongue where they hide sockets and mouth.
+    """
+    first = template.parts["skin"].triangles.stop
+    triangles = template.triangles[first:]
+    camera = vertices @ R.T + t
+    raster = rasterise((lens.project(camera)[0] - drawn.corner) / drawn.factor, camera[:, 2], triangles, drawn.size)
+    inner = interpolate(vertex_normals(camera, triangles), triangles, raster.triangle, raster.barycentric)
+    skin = np.where(drawn.point[..., 2] > 0, drawn.point[..., 2], np.inf)
+    before = (raster.triangle >= 0) & (raster.depth < skin) & ~drawn.on
+    length = np.linalg.norm(inner, axis=-1, keepdims=True)
+    return np.where(before[..., None], inner / np.maximum(length, _TINY), drawn.normal).astype(np.float32)
+
+
 def picture(drawn: Drawn, rgb: np.ndarray) -> np.ndarray:
     """(h, w) float32 the frame's linear GREY at the crop's pixels, rgb (H, W, 3) uint8 sRGB."""
     (w, h), (x, y) = drawn.size, drawn.corner.astype(int)

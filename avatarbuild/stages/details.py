@@ -28,7 +28,7 @@ from avatarbuild.shading import maps
 from avatarbuild.shading.light import exposure
 from avatarbuild.shading.observation import Seen, Watched, align, moved
 from avatarbuild.shading.relief import FINE, Relief, light_seen, relief
-from avatarbuild.shading.surface import FineSkin, draw, picture
+from avatarbuild.shading.surface import FineSkin, draw, normals_of_all, picture
 from avatarbuild.stages.refinement import LEAST_FRAMES, fine_skin_of, good_frames, posed, watched_clip
 from avatarbuild.template import Template
 from avatarbuild.texture.static_detail import plain_skin
@@ -106,7 +106,7 @@ def run(
         if not path.is_file():
             raise InputError(f"the video {path} is gone: put it back, or run without details.save_frames")
         with progress.task("Normals of frames", len(saved)) as task:
-            for number, normals in frame_normals(path, saved, performance, skin, watched, lens):
+            for number, normals in frame_normals(path, saved, performance, template, skin, watched, lens):
                 files[f"frames/normals_{number:04d}.npz"] = _npz(normals)
                 task.advance()
     figures = {
@@ -154,7 +154,13 @@ def occlusion_of(
 
 
 def frame_normals(
-    path: Path, numbers: list[int], performance: Performance, skin: FineSkin, watched: Watched, lens: Lens
+    path: Path,
+    numbers: list[int],
+    performance: Performance,
+    template: Template,
+    skin: FineSkin,
+    watched: Watched,
+    lens: Lens,
 ) -> Iterator[tuple[int, np.ndarray]]:
     """Number and (H, W, 3) float16 normals in OpenCV's camera axes of decoded frames, zero where there is no head."""
     factor = watched.frames[0].drawn.factor
@@ -169,7 +175,7 @@ def frame_normals(
         whole = draw(skin, head.vertices, lens, head.R, head.t, 1, whole=True)
         change = moved((found.normal - drawn.normal) * drawn.on[..., None], -seen.flow)
         (w, h), (x, y) = drawn.size, drawn.corner.astype(int)
-        normal = whole.normal.copy()
+        normal = normals_of_all(template, whole, head.vertices, lens, head.R, head.t)
         part = normal[y : y + h * factor, x : x + w * factor]
         part += cv2.resize(change, (part.shape[1], part.shape[0]), interpolation=cv2.INTER_LINEAR) * (
             np.abs(part).sum(axis=-1, keepdims=True) > 0
