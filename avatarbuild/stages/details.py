@@ -33,6 +33,7 @@ from avatarbuild.stages.refinement import LEAST_FRAMES, fine_skin_of, good_frame
 from avatarbuild.template import Template
 from avatarbuild.texture.static_detail import plain_skin
 from avatarbuild.tracking.lens import Lens
+from avatarbuild.tracking.neck import UNBENT
 
 log = logging.getLogger(__name__)
 
@@ -68,6 +69,8 @@ def run(
     watched = watched_clip(capture, performance, rows, template, skin, options.pixel, progress, "The light on the skin")
     chart = maps.face_chart(template, options.side)
     heads = [posed(performance, int(performance.processed[row]), int(row)) for row in rows]
+    avatar = replace(performance, neck=UNBENT)  # whose neck is the head's: what wrinkles it is its strain
+    vertices = np.stack([posed(avatar, int(performance.processed[row]), int(row)).vertices for row in rows])
     open_ = occlusion_of(chart, maps.frames(chart, performance.neutral), performance.neutral, None)
 
     plain = plain_skin(template, chart.chart).reshape(-1)[chart.flat]
@@ -77,10 +80,11 @@ def run(
         found = wrinkles(one, watched, float(watched.light.gains[k]), lens)
         axes = maps.frames(chart, head.vertices)
         normal, sure, height = maps.tangent_normals(axes, one.drawn, found, lens, head.R, head.t)
+        axes = maps.frames(chart, vertices[k])
         normal[:, :2] *= plain[:, None]
         bent = normal[:, :1] * axes.tangent + normal[:, 1:2] * axes.bitangent + normal[:, 2:] * axes.normal
         raised = axes.position + (height * sure * plain)[:, None] * axes.normal
-        shade = occlusion_of(chart, axes, head.vertices, (raised, bent)) / np.maximum(open_, 0.1)
+        shade = occlusion_of(chart, axes, vertices[k], (raised, bent)) / np.maximum(open_, 0.1)
         return np.concatenate([normal, shade[:, None]], axis=1).astype(np.float16), sure.astype(np.float16)
 
     frames, sure = [], []
@@ -91,7 +95,6 @@ def run(
             task.advance()
     made = dynamic(np.stack(frames))
     with progress.task("What makes them", 1) as task:
-        vertices = np.stack([head.vertices for head in heads])
         synthesis = train(
             lambda f: chart.map(made[f].astype(np.float32), FLAT),
             lambda f: chart.map(sure[f].astype(np.float32), 0.0),
