@@ -281,6 +281,7 @@ def test_the_body_is_found_again_below_the_chin() -> None:
     rng = np.random.default_rng(1)
     assert patch.find(body.whole(rng.integers(0, 255, (1920, 1080, 3), np.uint8))) is None
     assert patch.find(np.zeros((0, 0), np.float32)) is None
+    assert body.patch(np.zeros((0, 0), np.float32), chin, bridge, 450.0, lens) is None
     low = chin + np.array([0, 850.0])
     assert body.patch(patch.picture, low, low - (chin - bridge), 450.0, lens) is None
 

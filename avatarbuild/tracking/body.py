@@ -15,7 +15,7 @@ from avatarbuild.tracking.lens import Lens
 SIDE = 240  # pixels of a frame's longer side as the body is looked for in it
 _BLUR = 2.0  # of these: stripes and cloth's threads are all alike, collars are not
 _TOP, _DOWN, _ACROSS = 0.1, 1.2, 1.2  # the patch below the chin and to both sides, of the way from chin to nose bridge
-_LEAST = 0.5  # of that way: less of a body says nothing
+_LEAST, _FEWEST = 0.5, 8  # of that way, and pixels: less of a body says nothing
 _REACH = 0.45  # of that way: how far bodies and cameras go
 _STEPS, _SETTLED = 12, 0.005  # Gauss-Newton, until it moves by so many pixels
 _ALIKE = 0.7  # correlation from which the patch counts as found
@@ -132,6 +132,7 @@ def patch(picture: np.ndarray, chin: np.ndarray, bridge: np.ndarray, depth: floa
     x, y = chin * scale
     rows = slice(max(round(y + _TOP * way), 0), min(round(y + _DOWN * way), h))
     columns = slice(max(round(x - _ACROSS * way), 0), min(round(x + _ACROSS * way), w))
-    if rows.stop - rows.start < _LEAST * way or columns.stop - columns.start < 2 * _LEAST * way:
+    high, wide = rows.stop - rows.start, columns.stop - columns.start
+    if high < max(_LEAST * way, _FEWEST) or wide < max(2 * _LEAST * way, _FEWEST):
         return None
     return Patch(picture, rows, columns, scale, max(1, round(_REACH * way)), depth, lens)
