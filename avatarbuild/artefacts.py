@@ -374,7 +374,7 @@ class Blendshapes:
 _PERFORMANCE_ARRAYS = (
     *("times", "weights", "rotation", "translation", "torso_rotation", "torso_translation", "neck"),
     *("quality", "gaze", "processed", "modelled"),
-    *("neutral", "deltas", "eye_centres", "evidence"),
+    *("neutral", "deltas", "depth", "eye_centres", "evidence"),
 )
 
 
@@ -394,6 +394,7 @@ class Performance:
     gaze         (f, 2, 2) radians: left and right eye, yaw (positive: to the subject's left), pitch (positive: up)
     processed    (j,) int: the frames that were tracked in full;  modelled (j,) bool: those that taught the shapes
     neutral (n, 3), deltas (52, n, 3) float32 mm, eye_centres (2, 3): the person's own rig, as in Blendshapes
+    depth        (52, n, 3) float32 mm: that part of the deltas which the light on the skin told
     evidence     (52,) in 0..1: how far the video, and not the transfer, decided a shape
     """
 
@@ -415,6 +416,7 @@ class Performance:
     modelled: np.ndarray
     neutral: np.ndarray
     deltas: np.ndarray
+    depth: np.ndarray
     eye_centres: np.ndarray
     evidence: np.ndarray
     figures: dict[str, Any] = field(default_factory=dict)

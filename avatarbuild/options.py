@@ -122,6 +122,13 @@ class TrackingOptions:
     """Tracking the video, and the person's own shapes learnt from it."""
 
     rounds: int = option(7, "rounds", "Tracking and modelling in turn, at most.", draft=2, least=0)
+    lit_rounds: int = option(
+        3,
+        "rounds",
+        "Of them again, once the light on the skin has told of depth; 0: it is not asked.",
+        draft=1,
+        least=0,
+    )
     settled: float = option(0.05, "mm", "It ends when a round moves the posed face by less than this.", least=0.0)
     leave_out: int = option(
         0,

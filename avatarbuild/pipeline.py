@@ -80,7 +80,7 @@ STAGES = (
         ("capture", "cameras", "neutral", "albedo", "blendshapes"),
         artefacts.Performance,
         options.TrackingOptions,
-        12,
+        13,
         "the performance in the video, and the person's own expressions",
         watches=True,
         corrected="video",
@@ -90,7 +90,7 @@ STAGES = (
         ("capture", "albedo", "blendshapes", "tracking"),
         artefacts.Refinement,
         options.RefinementOptions,
-        6,
+        7,
         "the expressions refined by the light on the skin",
     ),
     Stage(

@@ -25,10 +25,10 @@ from avatarbuild.options import DetailsOptions
 from avatarbuild.progress import Silent
 from avatarbuild.project import Project
 from avatarbuild.shading import maps
+from avatarbuild.shading.clip import fine_skin_of, posed
 from avatarbuild.shading.observation import at_uv
 from avatarbuild.shading.surface import draw
 from avatarbuild.stages import details
-from avatarbuild.stages.refinement import fine_skin_of, posed
 from avatarbuild.template import Template
 from avatarbuild.tracking.lens import Lens
 

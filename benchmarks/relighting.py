@@ -18,7 +18,7 @@ from avatarbuild.formats.images import encode_png
 from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.geometry.mipmap import Mipmap, build_mipmap, sample_texture
 from avatarbuild.geometry.raster import Raster, interpolate, project, rasterise
-from avatarbuild.stages.refinement import good_frames
+from avatarbuild.shading.clip import good_frames
 from avatarbuild.template import Template
 from avatarbuild.texture.occlusion import of_vertices
 from avatarbuild.texture.photos import linear_picture, srgb_picture

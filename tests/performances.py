@@ -54,6 +54,7 @@ def performance(
         modelled=processed > 0,
         neutral=shapes.neutral,
         deltas=deltas,
+        depth=np.zeros_like(deltas),
         eye_centres=shapes.eye_centres,
         evidence=evidence,
         figures={"frames": count},
@@ -67,5 +68,5 @@ def nothing(shapes: Blendshapes) -> Performance:
         *("", (0, 0), 0.0, 0.0, 0.0, none, np.zeros((0, 52)), np.zeros((0, 3, 3)), np.zeros((0, 3))),
         *(np.zeros((0, 3, 3)), np.zeros((0, 3)), UNBENT, none, np.zeros((0, 2, 2))),
         *(np.zeros(0, int), np.zeros(0, bool)),
-        *(shapes.neutral, shapes.deltas, shapes.eye_centres, np.zeros(52)),
+        *(shapes.neutral, shapes.deltas, np.zeros_like(shapes.deltas), shapes.eye_centres, np.zeros(52)),
     )

@@ -97,7 +97,7 @@ def performance() -> Performance:
         *("clip.mp4", SIZE, 10.0, LENS.focal, 0.0, np.arange(FRAMES) / 10, weights()),
         *(*(2 * [np.repeat(R[None], FRAMES, axis=0), np.repeat(T[None], FRAMES, axis=0)]), UNBENT, np.ones(FRAMES)),
         *(np.zeros((FRAMES, 2, 2)), np.arange(FRAMES), np.ones(FRAMES, bool)),
-        *(s.neutral, s.deltas, s.eye_centres, np.zeros(52)),
+        *(s.neutral, s.deltas, np.zeros_like(s.deltas), s.eye_centres, np.zeros(52)),
     )
 
 

@@ -25,11 +25,11 @@ from avatarbuild.options import DetailsOptions
 from avatarbuild.parallel import each_alone
 from avatarbuild.progress import Progress
 from avatarbuild.shading import maps
+from avatarbuild.shading.clip import LEAST_FRAMES, fine_skin_of, good_frames, posed, watched_clip
 from avatarbuild.shading.light import exposure
 from avatarbuild.shading.observation import Seen, Watched, align, moved
 from avatarbuild.shading.relief import FINE, Relief, light_seen, relief
 from avatarbuild.shading.surface import FineSkin, draw, normals_of_all, picture
-from avatarbuild.stages.refinement import LEAST_FRAMES, fine_skin_of, good_frames, posed, watched_clip
 from avatarbuild.template import Template
 from avatarbuild.texture.static_detail import plain_skin
 from avatarbuild.tracking.lens import Lens

@@ -19,21 +19,28 @@ from avatarbuild.formats.corrections import Corrections
 from avatarbuild.options import TrackingOptions
 from avatarbuild.progress import Progress
 from avatarbuild.rigging import kept
+from avatarbuild.shading.clip import LEAST_FRAMES as LEAST_GOOD
+from avatarbuild.shading.clip import good_frames
+from avatarbuild.shading.depth import told
+from avatarbuild.shading.registration import FREEDOM
 from avatarbuild.template import ARKIT_NAMES, Template
 from avatarbuild.tracking import alternation, full_rate
+from avatarbuild.tracking.alternation import Tracked
 from avatarbuild.tracking.corrections import propagated
-from avatarbuild.tracking.fit import Weights, wearing
-from avatarbuild.tracking.full_rate import Sightings
+from avatarbuild.tracking.fit import Face, Weights, wearing
+from avatarbuild.tracking.full_rate import Found, Sightings
 from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.markers import Clicks
 from avatarbuild.tracking.modelling import Freedom
 from avatarbuild.tracking.neck import SHAPES, UNBENT
+from avatarbuild.tracking.rig import Rig
 from avatarbuild.tracking.subject import kept_frames, said, score_level, subject
 from avatarbuild.tracking.take import performance, warnings_of
 
 log = logging.getLogger(__name__)
 
 LEAST_FRAMES = 3
+_PIXEL = 1.0  # mm of the face to a pixel of the depth maps
 
 
 def run(
@@ -81,27 +88,49 @@ def run(
     if options.leave_out > 1:
         teaching[options.leave_out - 1 :: options.leave_out] = False
     weights, freedom = Weights(), Freedom()
-    with progress.task("Tracking and modelling", 1.0) as task:
-        face, eyes, tracked, history = alternation.alternate(
-            *(template, face, skin, frames, eyes, teaching, weights, freedom),
-            *(options.rounds, options.settled, task.advance),
-        )
-    evidence = np.zeros(len(ARKIT_NAMES))
-    evidence[:SHAPES] = alternation.evidence(tracked, teaching, transferred)[:SHAPES]
-    learnt = alternation.as_shown(face.rig, transferred, evidence[:SHAPES])
-    rig, contacts = kept(template, blendshapes, learnt)
-    face = wearing(face, replace(rig, deltas=np.concatenate([rig.deltas[:SHAPES], face.rig.deltas[SHAPES:]])))
-    tracked = alternation.again(template, face, skin, tracked, eyes, weights)
+    with progress.task("Finding the head in the frames", 1) as task:
+        face, eyes, tracked = alternation.begin(template, face, skin, frames, eyes, weights)
+        task.advance()
+
+    def rounds(count: int, title: str) -> tuple[Face, list[Tracked], list[dict[str, float]]]:
+        with progress.task(title, 1.0) as task:
+            return alternation.alternate(
+                *(template, face, skin, tracked, teaching, weights, freedom),
+                *(count, options.settled, task.advance),
+            )
+
+    def worn(rig: Rig) -> tuple[Face, list[Tracked]]:
+        deltas = np.concatenate([rig.deltas[:SHAPES], face.rig.deltas[SHAPES:]])
+        wearer = wearing(face, replace(rig, deltas=deltas))
+        return wearer, alternation.again(template, wearer, skin, tracked, eyes, weights)
+
+    def made(rig: Rig, whole: list[Found]) -> Performance:
+        own = replace(blendshapes, neutral=rig.neutral, deltas=rig.deltas)
+        heights = UNBENT if face.torso is None else face.torso.heights
+        return performance(template, clip, face.lens, own, heights, whole, numbers, teaching, evidence)
+
+    numbers = np.array([one.number for one in frames])
+    face, tracked, history = rounds(options.rounds, "Tracking and modelling")
+    rig, evidence, contacts = learnt(template, blendshapes, face, tracked, teaching, transferred)
+    depth = np.zeros_like(rig.deltas)
+    so_far = made(rig, [full_rate.found(face, one) for one in tracked if one.quality > 0])
+    good = good_frames(so_far)
+    if options.lit_rounds and len(good) >= LEAST_GOOD:
+        lit = told(capture, albedo, blendshapes, so_far, good, template, _PIXEL, FREEDOM.worth, progress)
+        face, tracked = worn(Rig(lit.neutral, lit.deltas, rig.triangles))
+        depth = lit.deltas - rig.deltas
+        face, tracked, further = rounds(options.lit_rounds, "Tracking and modelling, the depth known")
+        history += further
+        rig, evidence, contacts = learnt(template, blendshapes, face, tracked, teaching, transferred)
+        depth[:SHAPES] *= alternation.learnt_share(evidence[:SHAPES])[:, None, None]
+    face, tracked = worn(rig)
     with progress.task("Every frame", len(clip.times)) as task:
         sightings = Sightings.of([one.frame for one in tracked if one.quality > 0])
         whole = full_rate.follow(
             *(face, skin, template, eyes, sightings, tracked, level),
             *(video.decode_frames(path, range(len(clip.times))), weights, task.advance, clicks),
         )
-    numbers = np.array([one.number for one in frames])
-    own = replace(blendshapes, neutral=rig.neutral, deltas=rig.deltas)
-    heights = UNBENT if face.torso is None else face.torso.heights
-    made = performance(template, clip, face.lens, own, heights, whole, numbers, teaching, evidence)
+    take = made(rig, whole)
     quality = np.array([one.quality for one in tracked])
     figures = {
         "frames": len(clip.times),
@@ -115,7 +144,22 @@ def run(
         **contacts,
     }
     log.info("tracking: %s", figures)
-    return replace(made, figures=figures, warnings=warnings_of(made))
+    return replace(take, depth=depth.astype(np.float32), figures=figures, warnings=warnings_of(take))
+
+
+def learnt(
+    template: Template,
+    blendshapes: Blendshapes,
+    face: Face,
+    tracked: list[Tracked],
+    teaching: np.ndarray,
+    transferred: Rig,
+) -> tuple[Rig, np.ndarray, dict[str, float]]:
+    """The face's 52 shapes as far as the frames show them, their evidence (52,), and what contacts say of them."""
+    evidence = np.zeros(len(ARKIT_NAMES))
+    evidence[:SHAPES] = alternation.evidence(tracked, teaching, transferred)[:SHAPES]
+    rig, contacts = kept(template, blendshapes, alternation.as_shown(face.rig, transferred, evidence[:SHAPES]))
+    return rig, evidence, contacts
 
 
 def without(blendshapes: Blendshapes, warning: str) -> Performance:
@@ -140,6 +184,7 @@ def without(blendshapes: Blendshapes, warning: str) -> Performance:
         modelled=np.zeros(0, bool),
         neutral=blendshapes.neutral,
         deltas=blendshapes.deltas,
+        depth=np.zeros_like(blendshapes.deltas),
         eye_centres=blendshapes.eye_centres,
         evidence=np.zeros(len(ARKIT_NAMES)),
         figures={"frames": 0},

@@ -219,28 +219,25 @@ def alternate(
     template: Template,
     face: Face,
     skin: Skin,
-    frames: list[Frame],
-    eyes: Eyes,
+    tracked: list[Tracked],
     teaching: np.ndarray,
     w: Weights,
     freedom: Freedom,
     rounds: int,
     settled: float,
     advance: Callable[[float], None],
-) -> tuple[Face, Eyes, list[Tracked], list[dict[str, float]]]:
+) -> tuple[Face, list[Tracked], list[dict[str, float]]]:
     """
-    The face with the person's own shapes, the eyes with their usual gaze, the tracked frames, and each round's figures.
+    The face with the person's own shapes near those that it has, the frames tracked with it, and each round's figures.
 
     teaching (F,) bool: frames that may take part in modelling. `advance` hears shares of the work.
     """
     base = face.rig
-    share = 1 / (rounds + 2)
-    face, eyes, tracked = begin(template, face, skin, frames, eyes, w)
-    advance(share)
+    share = 1 / max(rounds, 1)
     history: list[dict[str, float]] = []
     good = _teachers(tracked, teaching)
     if not good:
-        return face, eyes, tracked, history
+        return face, tracked, history
     axis = np.mean([-one.state.R.T @ one.state.t / np.linalg.norm(one.state.t) for one in good], axis=0)
     space = Space(template, base, axis / np.linalg.norm(axis), freedom)
     before = _posed(face, tracked)
@@ -262,7 +259,7 @@ def alternate(
         if number + 1 >= len(ROUND_LEVELS) and moved < settled:
             advance(share * (rounds - 1 - number))
             break
-    return face, eyes, [regard(face, one, template, eyes) for one in tracked], history
+    return face, tracked, history
 
 
 def again(template: Template, face: Face, skin: Skin, tracked: list[Tracked], eyes: Eyes, w: Weights) -> list[Tracked]:
@@ -334,14 +331,22 @@ def _posed(face: Face, tracked: list[Tracked]) -> np.ndarray:
 
 def as_shown(learnt: Rig, base: Rig, found: np.ndarray) -> Rig:
     """
-    B*_j + s_j (B_j - B*_j) with s_j from 0 to 1 where the evidence `found` (a,) goes from _HARDLY to _WELL: what the
-    video hardly shows stays as it was transferred, `base`. Below, learnt shapes were farther from the truth than these.
-    So do blinks: lids close on the eyeball as they were made to, and the detector does not see them close.
+    B*_j + s_j (B_j - B*_j), s of `learnt_share`: what the video hardly shows stays as it was transferred, `base`.
+    Below, learnt shapes were farther from the truth than these.
     """
-    share = np.clip((found - _HARDLY) / (_WELL - _HARDLY), 0, 1)[:, None, None]
-    share[BLINKS] = 0
     shapes = base.deltas[: neck.SHAPES]
-    return replace(learnt, deltas=shapes + share * (learnt.deltas[: neck.SHAPES] - shapes))
+    change = learnt.deltas[: neck.SHAPES] - shapes
+    return replace(learnt, deltas=shapes + learnt_share(found)[:, None, None] * change)
+
+
+def learnt_share(found: np.ndarray) -> np.ndarray:
+    """
+    (a,) from 0 to 1 where the evidence `found` (a,) goes from _HARDLY to _WELL. Blinks have 0: lids close on the
+    eyeball as they were made to, and the detector does not see them close.
+    """
+    share = np.clip((found - _HARDLY) / (_WELL - _HARDLY), 0, 1)
+    share[BLINKS] = 0
+    return share
 
 
 def evidence(tracked: list[Tracked], teaching: np.ndarray, base: Rig) -> np.ndarray:

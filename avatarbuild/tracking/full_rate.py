@@ -93,8 +93,7 @@ def follow(
             near = seek(face, skin, begun, w, (), coarse)
             one = seek(face, skin, near, w, (fine,), fine)
             one = regard(face, one, template, eyes)
-        unmoved = (one.state.R, one.state.t) if face.torso is None else face.torso.at(one.frame.moved)
-        return Found(number, one.state, one.quality, one.gaze, unmoved)
+        return found(face, one)
 
     out = []
     for one in each_alone(look, decoded if len(sightings.numbers) else ()):
@@ -102,6 +101,12 @@ def follow(
         if one is not None:
             out.append(one)
     return out
+
+
+def found(face: Face, one: Tracked) -> Found:
+    """A tracked frame as part of the take."""
+    unmoved = (one.state.R, one.state.t) if face.torso is None else face.torso.at(one.frame.moved)
+    return Found(one.frame.number, one.state, one.quality, one.gaze, unmoved)
 
 
 def fitting(here: Frame, side: float) -> int:

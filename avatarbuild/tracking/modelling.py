@@ -206,8 +206,9 @@ def learn(
     y0 = (present @ space.back) / space.stray[:, :, None]
     G, target = [], np.zeros((len(states), 3 * n))
     here = (weights @ present.reshape(1 + a, -1)).reshape(len(states), -1)
-    for i, (frame, points, state) in enumerate(zip(frames, pinned, states, strict=True)):
-        rows, r = data_rows(face, frame, points, state, levels, w, freedom.worth, column)
+    seen = zip(frames, pinned, states, strict=True)
+    found = each_alone(lambda one: data_rows(face, *one, levels, w, freedom.worth, column), seen)
+    for i, (rows, r) in enumerate(found):
         G.append(rows)
         target[i] = rows.T @ (rows @ here[i] - r)
 
@@ -253,13 +254,17 @@ def nearest(
         return y.reshape(n, 1 + a, 3).transpose(1, 0, 2)
 
     alone = space.alone(weights, diagonal)
+    usual = np.ones((1 + a, 3), bool)
+    for j, axes, _ in alone:
+        usual[j, axes] = False
 
     def eased(r: np.ndarray) -> np.ndarray:
         split = r @ space.axes
-        z = back(space.factor.solve(columns(split)))
+        z = np.empty((n, 1 + a, 3))
+        z[:, usual] = space.factor.solve(split.transpose(1, 0, 2)[:, usual])
         for j, axes, factor in alone:
-            z[j, :, axes] = factor.solve(split[j, :, axes])
-        return np.asarray(z @ space.axes.T)
+            z[:, j, axes] = factor.solve(split[j, :, axes])
+        return np.asarray(z.transpose(1, 0, 2) @ space.axes.T)
 
     y = conjugate_gradients(
         lambda y: spread(pulled(weights @ strayed(y).reshape(1 + a, -1))) + back(space.prior @ columns(y)),

@@ -78,6 +78,7 @@ def performance(
         modelled=modelled,
         neutral=rig.neutral,
         deltas=rig.deltas.astype(np.float32),
+        depth=np.zeros(rig.deltas.shape, np.float32),
         eye_centres=rig.eye_centres,
         evidence=evidence,
     )

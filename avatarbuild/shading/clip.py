@@ -1,0 +1,57 @@
+"""A performance's good frames as views to be lit, drawn and read: the posed heads, the skin, the clip's light."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from avatarbuild.artefacts import Albedo, Capture, Performance
+from avatarbuild.progress import Progress
+from avatarbuild.shading.observation import View, Watched, watch
+from avatarbuild.shading.surface import FineSkin, factor_for, fine_skin
+from avatarbuild.template import Template
+from avatarbuild.texture import occlusion
+from avatarbuild.tracking.lens import Lens
+from avatarbuild.tracking.neck import bent
+
+GOOD = 0.35  # quality from which a frame counts
+LEAST_FRAMES = 5
+
+
+def good_frames(performance: Performance) -> np.ndarray:
+    """(g,) rows of the processed frames that may teach, and were tracked well."""
+    return np.flatnonzero(performance.modelled & (performance.quality[performance.processed] >= GOOD))
+
+
+def fine_skin_of(albedo: Albedo, performance: Performance, template: Template) -> FineSkin:
+    """The skin to draw, with the openness of the head at rest."""
+    open_, _ = occlusion.of_vertices(performance.neutral, template.triangles, template.parts["skin"].vertices)
+    return fine_skin(template, albedo.albedo, open_)
+
+
+def watched_clip(
+    capture: Capture,
+    performance: Performance,
+    rows: np.ndarray,
+    template: Template,
+    skin: FineSkin,
+    pixel: float,
+    progress: Progress,
+    title: str,
+) -> Watched:
+    """The processed frames `rows` on the posed head, with `pixel` mm of the face to a pixel."""
+    assert capture.clip is not None
+    images = capture.clip.frames.images
+    lens = Lens(performance.focal, performance.k1, performance.size)
+    views = [posed(performance, int(performance.processed[row]), int(row)) for row in rows]
+    first = views[0]
+    factor = factor_for(template, first.vertices, lens, first.R, first.t, pixel)
+    with progress.task(title, len(views)) as task:
+        return watch(skin, views, lambda row: images[row].rgb(), lens, factor, task.advance)
+
+
+def posed(performance: Performance, frame: int, row: int) -> View:
+    """A decoded frame's head and camera, the neck bent as it was."""
+    vertices = performance.neutral + np.tensordot(performance.weights[frame], performance.deltas.astype(np.float64), 1)
+    R, t = performance.rotation[frame], performance.translation[frame]
+    torso = performance.torso_rotation[frame], performance.torso_translation[frame]
+    return View(row, bent(vertices, performance.neutral, performance.neck, (R, t), torso), R, t)
