@@ -125,7 +125,7 @@ class TrackingOptions:
     lit_rounds: int = option(
         3,
         "rounds",
-        "Of them again, once the light on the skin has told of depth; 0: it is not asked.",
+        "The same again, once the light on the skin has told of depth; 0: it is not asked.",
         draft=1,
         least=0,
     )

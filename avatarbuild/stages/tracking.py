@@ -92,45 +92,48 @@ def run(
         face, eyes, tracked = alternation.begin(template, face, skin, frames, eyes, weights)
         task.advance()
 
-    def rounds(count: int, title: str) -> tuple[Face, list[Tracked], list[dict[str, float]]]:
+    def rounds(
+        schedule: tuple[tuple[int, ...], ...], count: int, title: str
+    ) -> tuple[Face, list[Tracked], list[dict[str, float]]]:
         with progress.task(title, 1.0) as task:
             return alternation.alternate(
                 *(template, face, skin, tracked, teaching, weights, freedom),
-                *(count, options.settled, task.advance),
+                *(schedule, count, options.settled, task.advance),
             )
 
-    def worn(rig: Rig) -> tuple[Face, list[Tracked]]:
+    def worn(rig: Rig) -> Face:
         deltas = np.concatenate([rig.deltas[:SHAPES], face.rig.deltas[SHAPES:]])
-        wearer = wearing(face, replace(rig, deltas=deltas))
-        return wearer, alternation.again(template, wearer, skin, tracked, eyes, weights)
+        return wearing(face, replace(rig, deltas=deltas))
 
-    def made(rig: Rig, whole: list[Found]) -> Performance:
+    def made(rig: Rig, whole: list[Found], depth: np.ndarray) -> Performance:
         own = replace(blendshapes, neutral=rig.neutral, deltas=rig.deltas)
         heights = UNBENT if face.torso is None else face.torso.heights
-        return performance(template, clip, face.lens, own, heights, whole, numbers, teaching, evidence)
+        take = performance(template, clip, face.lens, own, heights, whole, numbers, teaching, evidence)
+        return replace(take, depth=depth.astype(np.float32))
 
     numbers = np.array([one.number for one in frames])
-    face, tracked, history = rounds(options.rounds, "Tracking and modelling")
+    face, tracked, history = rounds(alternation.FROM_AFAR, options.rounds, "Tracking and modelling")
     rig, evidence, contacts = learnt(template, blendshapes, face, tracked, teaching, transferred)
     depth = np.zeros_like(rig.deltas)
-    so_far = made(rig, [full_rate.found(face, one) for one in tracked if one.quality > 0])
+    so_far = made(rig, [full_rate.found(face, one) for one in tracked if one.quality > 0], depth)
     good = good_frames(so_far)
     if options.lit_rounds and len(good) >= LEAST_GOOD:
         lit = told(capture, albedo, blendshapes, so_far, good, template, _PIXEL, FREEDOM.worth, progress)
-        face, tracked = worn(Rig(lit.neutral, lit.deltas, rig.triangles))
         depth = lit.deltas - rig.deltas
-        face, tracked, further = rounds(options.lit_rounds, "Tracking and modelling, the depth known")
+        face = worn(Rig(lit.neutral, lit.deltas, rig.triangles))
+        face, tracked, further = rounds(alternation.FROM_NEAR, options.lit_rounds, "Tracking, modelling, depth known")
         history += further
         rig, evidence, contacts = learnt(template, blendshapes, face, tracked, teaching, transferred)
         depth[:SHAPES] *= alternation.learnt_share(evidence[:SHAPES])[:, None, None]
-    face, tracked = worn(rig)
+    face = worn(rig)
+    tracked = alternation.again(template, face, skin, tracked, eyes, weights)
     with progress.task("Every frame", len(clip.times)) as task:
         sightings = Sightings.of([one.frame for one in tracked if one.quality > 0])
         whole = full_rate.follow(
             *(face, skin, template, eyes, sightings, tracked, level),
             *(video.decode_frames(path, range(len(clip.times))), weights, task.advance, clicks),
         )
-    take = made(rig, whole)
+    take = made(rig, whole, depth)
     quality = np.array([one.quality for one in tracked])
     figures = {
         "frames": len(clip.times),
@@ -144,7 +147,7 @@ def run(
         **contacts,
     }
     log.info("tracking: %s", figures)
-    return replace(take, depth=depth.astype(np.float32), figures=figures, warnings=warnings_of(take))
+    return replace(take, figures=figures, warnings=warnings_of(take))
 
 
 def learnt(

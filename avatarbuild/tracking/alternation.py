@@ -29,7 +29,9 @@ from avatarbuild.tracking.rig import Rig
 
 log = logging.getLogger(__name__)
 
-ROUND_LEVELS = ((), (1,), (1, 0))  # of the pyramid for equation (6), round by round; the last goes on
+FINEST = (1, 0)  # levels of the pyramid for equation (6)
+FROM_AFAR, FROM_NEAR = ((), (1,), FINEST), (FINEST,)
+"""Schedules of rounds, for frames that points alone have tracked and for frames whose texture has been met before."""
 _STEPS = 3
 BLINKS = [ARKIT_NAMES.index(name) for name in ("eyeBlinkLeft", "eyeBlinkRight")]
 _DOWNS = [ARKIT_NAMES.index(name) for name in ("eyeLookDownLeft", "eyeLookDownRight")]
@@ -223,6 +225,7 @@ def alternate(
     teaching: np.ndarray,
     w: Weights,
     freedom: Freedom,
+    schedule: tuple[tuple[int, ...], ...],
     rounds: int,
     settled: float,
     advance: Callable[[float], None],
@@ -230,7 +233,8 @@ def alternate(
     """
     The face with the person's own shapes near those that it has, the frames tracked with it, and each round's figures.
 
-    teaching (F,) bool: frames that may take part in modelling. `advance` hears shares of the work.
+    teaching (F,) bool: frames that may take part in modelling. schedule: levels of the pyramid for equation (6), round
+    by round; the last ones go on. `advance` hears shares of the work.
     """
     base = face.rig
     share = 1 / max(rounds, 1)
@@ -242,7 +246,7 @@ def alternate(
     space = Space(template, base, axis / np.linalg.norm(axis), freedom)
     before = _posed(face, tracked)
     for number in range(rounds):
-        levels = ROUND_LEVELS[min(number, len(ROUND_LEVELS) - 1)]
+        levels = schedule[min(number, len(schedule) - 1)]
         good = _teachers(tracked, teaching)
         shown = ([g.frame for g in good], [g.pinned for g in good], [g.state for g in good])
         rig = learn(space, face, base, *shown, levels, w, freedom)
@@ -256,7 +260,7 @@ def alternate(
         history.append({"round": number + 1, "moved_mm": round(moved, 4), "frames": len(good)})
         log.info("round %d: %d frames teach, the posed skin moves by %.3f mm", number + 1, len(good), moved)
         advance(share)
-        if number + 1 >= len(ROUND_LEVELS) and moved < settled:
+        if number + 1 >= len(schedule) and moved < settled:
             advance(share * (rounds - 1 - number))
             break
     return face, tracked, history
@@ -266,7 +270,7 @@ def again(template: Template, face: Face, skin: Skin, tracked: list[Tracked], ey
     """The tracked frames with the face as it has become, its shapes no longer in question."""
 
     def look(one: Tracked) -> Tracked:
-        return regard(face, seek(face, skin, one, w, ROUND_LEVELS[-1]), template, eyes)
+        return regard(face, seek(face, skin, one, w, FINEST), template, eyes)
 
     return list(each_alone(look, tracked))
 
