@@ -117,6 +117,26 @@ def test_lids_of_other_people_settle_on_other_balls(template, seed):
     assert moved.max() < 2.5
 
 
+def test_skin_that_the_cloud_knows_follows_the_lids_less_far(template):
+    person = random_subject(template, np.random.default_rng(1))
+    centres, radius = person.eye_centres + np.array([0.0, 0.0, 0.8]), np.full(2, 12.0)
+    seen = np.ones(len(person.neutral))
+    moved = {}
+    for name, known in (("told", seen), ("untold", None)):
+        settled = settle_lids(person.neutral, centres, radius, template, None, known)
+        fit = lid_fit(settled, centres, radius, template)
+        assert max(fit.contact, fit.rim) < 0.01
+        assert fit.poke < 0.05
+        off = np.linalg.norm(settled - person.neutral, axis=1)
+        moved[name] = [
+            np.mean([off[: len(band.ring)][band.ring == ring].mean() for band in lid_bands(template)])
+            for ring in (2, 5, 8)
+        ]
+    assert moved["told"][0] == pytest.approx(moved["untold"][0])  # the rim lies on the ball all the same
+    assert moved["told"][1] < 0.6 * moved["untold"][1]
+    assert moved["told"][2] < 0.3 * moved["untold"][2]
+
+
 def test_lids_settle_wherever_the_head_stands(template):
     turn = cv2.Rodrigues(np.array([0.1, -0.3, 0.2]))[0]
     person = random_subject(template, np.random.default_rng(5))

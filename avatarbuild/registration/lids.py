@@ -22,6 +22,7 @@ FAR = 99
 _FRONT = 0.2  # cosine to the gaze beyond which skin is looked at for poking through
 _CLEAR = 0.25  # mm of skin that stay between the eyeball and the outside of the lids
 _ROUNDS = 3
+_CLOSE = 0.01  # worth of a vertex's staying beside the smoothness: about three rings for what the rim has moved to fade
 
 
 @dataclass(frozen=True)
@@ -105,15 +106,22 @@ def _inside(graph: sp.csr_matrix, rim: np.ndarray, distance: np.ndarray) -> np.n
 
 
 def settle_lids(
-    vertices: np.ndarray, centres: np.ndarray, radius: np.ndarray, template: Template, ahead: np.ndarray | None = None
+    vertices: np.ndarray,
+    centres: np.ndarray,
+    radius: np.ndarray,
+    template: Template,
+    ahead: np.ndarray | None = None,
+    seen: np.ndarray | None = None,
 ) -> np.ndarray:
     """
-    min sum_v || (L d)_v ||^2 over the lids' outside, d_v = (R(direction_v) + gap_v - |x_v - c|) direction_v on the rim,
-    on what moves as one with it and on all that lies inside, 0 beyond the band: the lids laid onto the eyeballs, their
-    thickness at the rim the template's, the skin around following smoothly. Then what lies too near is lifted.
+    min sum_v || (L d)_v ||^2 + _CLOSE s_v || d_v ||^2 over the lids' outside, d_v = (R(direction_v) + gap_v -
+    |x_v - c|) direction_v on the rim, on what moves as one with it and on all that lies inside, 0 beyond the band: the
+    lids laid onto the eyeballs, their thickness at the rim the template's, the skin around following smoothly, and the
+    less the better it is known (s). Then what lies too near is lifted.
 
     vertices (>= v, 3) skin first, centres (2, 3), radius (2,) mm, in one frame; ahead (3,) where the eyeballs look,
-    +z if None. Returns the vertices with the skin about the eyes moved.
+    +z if None; seen (>= v,) in 0..1: how far the cloud has told where the skin is, nowhere if None. Returns the
+    vertices with the skin about the eyes moved.
     """
     shape = eye_shape(template)
     if shape is None:
@@ -122,12 +130,19 @@ def settle_lids(
     out = vertices.astype(np.float64)
     for band, centre, size in zip(lid_bands(template), centres, radius):
         v = len(band.ring)
-        out[:v] = _settle(out[:v], centre, float(size), band, shape, ahead)
+        known = np.zeros(v) if seen is None else seen[:v]
+        out[:v] = _settle(out[:v], centre, float(size), band, shape, ahead, known)
     return out
 
 
 def _settle(
-    skin: np.ndarray, centre: np.ndarray, radius: float, band: LidBand, shape: EyeShape, ahead: np.ndarray
+    skin: np.ndarray,
+    centre: np.ndarray,
+    radius: float,
+    band: LidBand,
+    shape: EyeShape,
+    ahead: np.ndarray,
+    seen: np.ndarray,
 ) -> np.ndarray:
     ring = band.ring
     held = np.flatnonzero(ring <= HELD)
@@ -140,7 +155,7 @@ def _settle(
     graph = meshes.adjacency(len(band_rows), number[band.triangles])
     degree = np.asarray(graph.sum(axis=1)).ravel()
     laplacian = sp.identity(len(band_rows)) - sp.diags(1 / np.maximum(degree, 1)) @ graph
-    bilaplacian = (laplacian.T @ laplacian).tocsr()
+    bilaplacian = (laplacian.T @ laplacian + sp.diags(_CLOSE * seen[band_rows])).tocsr()
     f, h = number[free], number[held]
     right = -(bilaplacian[f][:, h] @ moved)
     out = skin.copy()

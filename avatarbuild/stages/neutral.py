@@ -143,7 +143,7 @@ def assemble(
         texture = np.full((64, 64, 3), 200, np.uint8)
     else:
         centres, radius = balls.centres, balls.radius
-        skin = settle_lids(skin, centres, radius, template, ahead)
+        skin = settle_lids(skin, centres, radius, template, ahead, weight)
         fit = lid_fit(skin, centres, radius, template, ahead)
         figures |= {
             "eye_radius_mm": round(float(radius.mean()), 2),
