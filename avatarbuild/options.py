@@ -24,7 +24,9 @@ def option(default: Any, unit: str, sentence: str, *, draft: Any = None, high: A
 class CaptureOptions:
     """Reading photos and video, landmarks."""
 
-    frame_rate: float = option(3.0, "Hz", "Video frames processed a second; sharp ones are preferred.", least=0.1)
+    frame_rate: float = option(
+        3.0, "Hz", "Video frames processed a second; sharp ones are preferred.", high=6.0, least=0.1
+    )
     max_megapixels: float = option(
         16.0, "megapixels", "Larger photos are scaled down to this size.", draft=4.0, least=0.5
     )
@@ -129,7 +131,7 @@ class TrackingOptions:
         draft=1,
         least=0,
     )
-    settled: float = option(0.05, "mm", "It ends when a round moves the posed face by less than this.", least=0.0)
+    settled: float = option(0.02, "mm", "It ends when a round moves the posed face by less than this.", least=0.0)
     leave_out: int = option(
         0,
         "frames",
