@@ -47,7 +47,7 @@ WANTED = {
     "posed_mm_one_similarity_per_sequence.mean": "1.0",
     "corresponding_points_mm.tracked": "0.95",
     "landmark_reprojection_px.mean": "2.5",
-    "weights.mean_corr": "at least 0.75",
+    "weights.median_corr": "at least 0.75",
     "albedo.rel_err_mean": "0.12",
     "albedo.baked_shading_std_log": "0.06",
     "albedo.detail_corr": "at least 0.70",
