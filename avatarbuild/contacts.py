@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from avatarbuild.energies import lid_contact, lip_contact, tooth_cover
 from avatarbuild.energies.lid_contact import Eye, LidBand
@@ -27,6 +28,10 @@ TOGETHER = (
 )
 """Shapes of a side that act together in a smile, and whose sum must not let the eyeball through the skin below it."""
 STILL = 1e-7  # mm: less is no motion
+REACH = 20.0  # mm from the skin that a template's shape moves, over which a person's may still move
+HELD = (
+    8.0  # mm from lids and lips that a template's shape holds still, within which a person's may not move all the way
+)
 LIMITS = (
     ("lid_gap_mm", 0.3, "closed lids are {} mm off their place on the eyeballs: look at eyeBlink"),
     ("lid_sunk_mm", 0.6, "eyeballs show through closing lids by {} mm: look at eyeBlink"),
@@ -110,8 +115,29 @@ class Contacts:
             if moving[lids.band.vertices].any():
                 pose = lid_contact.lid_pose(lids.band, source, source + motion, lids.source, turns[lids.side])
                 laid = lid_contact.lay_on(lids.band, rest, rest + delta, lids.own, pose, lids.source)
-                delta = np.where(moving[:, None], laid - rest, 0)
+                delta = np.where(moving[:, None], laid - rest, delta)
         return delta
+
+    def reach(self, poses: np.ndarray) -> np.ndarray:
+        """
+        (k, s) how much of a motion that came from elsewhere the skin keeps in each of the template's poses (k, s, 3):
+        1 where the template moves it; farther out a smooth step down to 0 over REACH mm, so that a person's nose can
+        follow the cheeks; and 0, reached within HELD mm, on lids, lips' lines and the mouth's inside that the template
+        holds still.
+        """
+        t, mean = self.template, self.template.mean[self.skin]
+        held = (t.regions["mouth"] | t.regions["sockets"])[self.skin]
+        held[self.lips.held] = True
+        for lids in self.lids:
+            held[lids.band.vertices] = True
+        share = np.zeros(poses.shape[:2])
+        for one, moving in zip(share, np.linalg.norm(poses, axis=2) > STILL, strict=True):
+            if moving.any():
+                one[:] = lid_contact.smooth_step(1 - _distances(mean, moving) / REACH)
+                if (still := held & ~moving).any():
+                    one *= lid_contact.smooth_step(_distances(mean, still) / HELD)
+                one[moving] = 1
+        return share
 
     def clear_eyes(self, deltas: np.ndarray) -> None:
         """deltas (e, n, 3), in place, with the skin about the eyes before the eyeballs in every sum of TOGETHER's."""
@@ -170,3 +196,8 @@ class Contacts:
                     found["inside_out_mm"] = float((bag - allowed[1]).max())
             worst |= {key: max(worst[key], value) for key, value in found.items()}
         return worst
+
+
+def _distances(points: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """(n,) from points (n, 3) to the nearest of the chosen ones (n,) bool."""
+    return cKDTree(points[chosen]).query(points)[0]

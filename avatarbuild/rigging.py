@@ -58,15 +58,16 @@ def kept(template: Template, blendshapes: Blendshapes, learnt: Rig) -> tuple[Rig
 def keep(t: Template, person: Head, deltas: np.ndarray) -> tuple[np.ndarray, dict[str, float]]:
     """
     Shapes (e, n, 3) that came from elsewhere, such as a video, with the template's contacts and the mouth's parts, and
-    what is left of the contacts in mm; all in the template's frame and size.
+    what is left of the contacts in mm; all in the template's frame and size. Far from the skin that the template's
+    shape moves they end (`Contacts.reach`).
     """
     contacts, poses = Contacts(t, person), poses_of(t)
     skin, limits = contacts.skin, limits_of(t)
     posed = deltas.copy()
     for j, limit in limits.items():
         posed[j] += deltas[limit]
-    moving = np.linalg.norm(poses[:, skin], axis=2) > STILL
-    posed[:, skin] = contacts.close_lips(np.where(moving[..., None], posed[:, skin], 0), poses[:, skin])
+    share = contacts.reach(poses[:, skin])
+    posed[:, skin] = contacts.close_lips(share[..., None] * posed[:, skin], poses[:, skin])
     for j in range(len(posed)):
         if j not in limits:
             posed[j, skin] = contacts.lay_lids(j, posed[j, skin])

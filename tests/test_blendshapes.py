@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 import synthetic
+from scipy.spatial import cKDTree
 
 from avatarbuild.artefacts import Blendshapes, Neutral
-from avatarbuild.contacts import TOGETHER, Contacts, Head
+from avatarbuild.contacts import HELD, REACH, STILL, TOGETHER, Contacts, Head
 from avatarbuild.energies.deformation_transfer import displacement_gradients, gradient_rows, transfer_system
 from avatarbuild.energies.jaw import Rigid, affine, carried, jaw_motion, rigid
 from avatarbuild.errors import InputError
@@ -19,6 +20,7 @@ from avatarbuild.geometry.raster import project, rasterise
 from avatarbuild.geometry.rings import bilaplacian, rings, rings_of_opening
 from avatarbuild.options import BlendshapesOptions
 from avatarbuild.progress import Silent
+from avatarbuild.rigging import keep, poses_of
 from avatarbuild.solvers.held import solve_held
 from avatarbuild.solvers.sparse import Factor
 from avatarbuild.stages import blendshapes
@@ -252,6 +254,42 @@ def test_eyeballs_stay_behind_the_skin_in_a_hearty_smile(side: int) -> None:
     }
     assert moved <= {"cheekSquint", "eyeSquint", "mouthSmile"}
     assert np.abs(shapes - t.expressions).max() < 1.0
+
+
+def test_learnt_motion_ends_softly_beyond_the_templates_and_leaves_held_lids_and_lips() -> None:
+    t = synthetic.template()
+    contacts = Contacts(t, Head(t.mean, t.eye_centres))
+    skin, mean = contacts.skin, t.mean[contacts.skin]
+    poses = poses_of(t)[:, skin]
+    share, moving = contacts.reach(poses), np.linalg.norm(poses, axis=2) > STILL
+    held = np.zeros(len(mean), bool)
+    held[np.concatenate([contacts.lips.held, *(lids.band.vertices for lids in contacts.lids)])] = True
+    edges = np.stack(adjacency(len(mean), t.triangles[t.parts["skin"].triangles]).nonzero())
+    lengths = np.linalg.norm(mean[edges[0]] - mean[edges[1]], axis=1)
+    for one, its in zip(share, moving, strict=True):
+        assert (one[its] == 1).all()
+        assert (one[held & ~its] == 0).all()
+        if its.any():
+            assert (one[cKDTree(mean[its]).query(mean)[0] > REACH] == 0).all()
+        free = ~its[edges].any(axis=0)
+        assert (
+            np.abs(one[edges[0]] - one[edges[1]])[free] <= 1.5 * (1 / REACH + 1 / HELD) * lengths[free] + 1e-9
+        ).all()
+
+
+def test_a_nose_may_follow_puffed_cheeks_but_not_the_forehead() -> None:
+    t = synthetic.template()
+    puff, skin = ARKIT_NAMES.index("cheekPuff"), t.parts["skin"].vertices
+    tip = np.argmin(np.linalg.norm(t.mean[skin] - t.landmarks(t.mean)[t.landmarks68][30], axis=1))
+    assert np.abs(t.expressions[puff, tip]).max() == 0
+    learnt = t.expressions.copy()
+    learnt[puff, skin] += [0, 1, 0]
+    shapes, figures = keep(t, Head(t.mean, t.eye_centres), learnt)
+    beyond = shapes - t.expressions
+    assert beyond[puff, tip, 1] > 0.8
+    assert np.abs(beyond[puff, skin][t.mean[skin, 1] > t.mean[tip, 1] + 80]).max() == 0
+    assert figures["lid_gap_mm"] < 0.01
+    assert figures["lips_off_mm"] < 0.01
 
 
 def frontal(vertices: np.ndarray, centre: np.ndarray) -> np.ndarray:

@@ -102,7 +102,7 @@ def lid_band(
     ids = np.flatnonzero((ring >= -1) & (ring <= REACH))
     along = (vertices[ids, 0] - x.min()) / (x.max() - x.min())
     middle = vertices[first] + np.clip(along, 0, 1)[:, None] * (vertices[last] - vertices[first])
-    over = _smooth(0.5 + (_elevation(vertices[ids], eye.centre) - _elevation(middle, eye.centre)) / MIDDLE)
+    over = smooth_step(0.5 + (_elevation(vertices[ids], eye.centre) - _elevation(middle, eye.centre)) / MIDDLE)
     average = rings.neighbour_mean(graph[ids][:, ids])
     return LidBand(ids, ring[ids], touch, upper, lower, along, over, average)
 
@@ -148,13 +148,13 @@ def lay_on(
     k = float(eye.radii[0] / source_eye.radii[0])
     edge = np.zeros(len(ids))
     if source.closes:
-        edge = _smooth((EDGE + 5 - ring) / 5)
+        edge = smooth_step((EDGE + 5 - ring) / 5)
         change = overlap_angles(band, out, eye.centre) - source.overlap
         out[ids] = _raised(band, out, eye.centre, change)
     looking = eye.looking(source.turn)
     kept = eye.clearance(rest[ids])[0] + k * (source.posed - source.rest)
     now, direction = looking.clearance(out[ids])
-    fade = _smooth((FADE - ring) / (FADE - EDGE))
+    fade = smooth_step((FADE - ring) / (FADE - EDGE))
     wanted = now + fade * (edge * k * source.posed + (1 - edge) * kept - now)
     before = (ring > band.touch) & (ring <= FADE) & (direction @ looking.gaze > FRONT)
     least = k * np.minimum(SKIN * np.clip((ring - band.touch) / 2, 0, 1), source.posed)
@@ -214,7 +214,7 @@ def _raised(band: LidBand, posed: np.ndarray, centre: np.ndarray, angles: np.nda
     points = posed[band.vertices]
     place = np.searchsorted(band.vertices, band.upper)
     taper = np.clip(8 * band.along * (1 - band.along), 0, 1)
-    fade = _smooth((REACH - 1 - band.ring) / (REACH - 1 - EDGE))
+    fade = smooth_step((REACH - 1 - band.ring) / (REACH - 1 - EDGE))
     turn = np.interp(band.along, band.along[place], angles) * taper * band.over * fade
     y, z = points[:, 1] - centre[1], points[:, 2] - centre[2]
     c, s = np.cos(turn), np.sin(turn)
@@ -240,7 +240,8 @@ def _bulged(band: LidBand, rest: np.ndarray, posed: np.ndarray, eye: Eye, way: n
     return out
 
 
-def _smooth(t: np.ndarray) -> np.ndarray:
+def smooth_step(t: np.ndarray) -> np.ndarray:
+    """3 t^2 - 2 t^3, t held within [0, 1]."""
     t = np.clip(t, 0, 1)
     return t * t * (3 - 2 * t)
 
