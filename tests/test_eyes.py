@@ -9,7 +9,7 @@ from avatarbuild.landmarks import IRISES
 from avatarbuild.registration.eye_shape import eye_shape
 from avatarbuild.registration.eyes import eyeballs
 from avatarbuild.registration.iris_sightings import Photos, iris_sightings
-from avatarbuild.registration.lids import FAR, lid_bands, lid_fit, settle_lids
+from avatarbuild.registration.lids import FAR, lid_bands, lid_fit, lower_edges, settle_lids
 from avatarbuild.sfm.metric import Placed
 from avatarbuild.simulation.photographs import look_at
 from avatarbuild.simulation.subject import random_subject
@@ -87,6 +87,20 @@ def test_bands_are_closed_rings_about_both_eyes(template):
         assert len(band.contact) == count[0]
         assert (band.ring[band.contact] == -1).all()
         assert not (template.regions["sockets"][: len(band.ring)] & (band.ring >= 0) & (band.ring < FAR)).any()
+
+
+def test_lower_lids_have_an_inner_edge_on_the_ball_behind_their_rims(template):
+    edges = lower_edges(template)
+    assert set(edges) == {"lid_lower_left", "lid_lower_right"}
+    for band, side in zip(lid_bands(template), ("left", "right")):
+        line, edge = template.contours[f"lid_lower_{side}"], edges[f"lid_lower_{side}"]
+        assert (edge[[0, -1]] == line[[0, -1]]).all()
+        assert np.isin(edge[1:-1], band.contact).all()
+        assert len(np.unique(edge)) == len(edge)
+        thick = np.linalg.norm(template.mean[edge] - template.mean[line], axis=1)[3:-3]
+        assert thick.min() > 0.5
+        assert thick.max() < 2.0
+        assert (template.mean[edge][3:-3, 1] > template.mean[line][3:-3, 1]).all()
 
 
 def test_mean_lids_lie_on_the_mean_eyes_and_stay(template):

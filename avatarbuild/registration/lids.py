@@ -55,6 +55,24 @@ def lid_bands(template: Template) -> tuple[LidBand, LidBand]:
     return _lid_bands(_Same(template))
 
 
+def lower_edges(template: Template) -> dict[str, np.ndarray]:
+    """
+    By the names of the lower lids' contours the vertices of the lids' inner edges beside the contours' vertices.
+
+    A contour is the rim's outer edge, where the lashes stand. Seen from before, the upper lid ends there; below the eye
+    the rim, about 1 mm thick, is turned up, and the white ends at its inner edge.
+    """
+    edges: dict[str, np.ndarray] = {}
+    if eye_shape(template) is None:
+        return edges
+    for side, band in zip(("left", "right"), lid_bands(template)):
+        line = template.contours[f"lid_lower_{side}"].copy()
+        off = np.linalg.norm(template.mean[line][:, None] - template.mean[band.contact], axis=2)
+        line[1:-1] = band.contact[off.argmin(axis=1)][1:-1]
+        edges[f"lid_lower_{side}"] = line
+    return edges
+
+
 class _Same:
     """A template as a key: the same object, since its arrays have no hash."""
 
