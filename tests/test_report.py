@@ -32,6 +32,7 @@ from avatarbuild.artefacts import (
 from avatarbuild.formats.colour import linear_from_srgb
 from avatarbuild.formats.images import decode_jpeg, encode_jpeg
 from avatarbuild.geometry.meshes import vertex_normals
+from avatarbuild.registration.lids import seen_line
 from avatarbuild.report import diagrams, footage, heads, overlay, rendering, views, words
 from avatarbuild.report.page import page
 from avatarbuild.report.performance import performance_section
@@ -324,11 +325,14 @@ def test_contours_and_the_detectors_points_agree_where_the_head_is_true() -> Non
     g, t = given(), synthetic.template()
     shot = overlay.shots(g.capture, g.cameras, g.neutral)[4]
     pixels, _ = shot.project(g.neutral.vertices)
-    names = ("lid_upper_left", "lid_lower_left", "lips_inner_upper")
+    names = ("lid_upper_left", "lid_upper_right", "lips_inner_upper")
     rims = overlay.rim_landmarks(t, names)
     assert len(rims) > 20
     off = overlay.contour_distance(g.capture.photos.landmarks[4, rims, :2], pixels, t, names)
     assert off.max() < 0.3
+    lower = ("lid_lower_left",)  # whose inner edge is what shows
+    assert overlay.contour_distance(pixels[seen_line(t, *lower)], pixels, t, lower).max() < 1e-9
+    assert overlay.contour_distance(pixels[t.contours["lid_lower_left"][5:-5]], pixels, t, lower).min() > 0.3
     line = t.contours["lips_inner_upper"][:2]
     a, b = pixels[line]
     beside = (a + b) / 2 + 3 * np.array([a[1] - b[1], b[0] - a[0]]) / np.linalg.norm(a - b)

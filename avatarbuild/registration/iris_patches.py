@@ -12,7 +12,7 @@ from avatarbuild.geometry.iris import iris_circle
 from avatarbuild.registration.eye_shape import EyeShape
 from avatarbuild.registration.eyes import Eyeballs
 from avatarbuild.registration.iris_sightings import Photos, on_plane, plane_axes, plane_grid
-from avatarbuild.registration.lids import lower_edges
+from avatarbuild.registration.lids import seen_line
 from avatarbuild.template import Template
 
 SIZE, RADIUS = 256, 64.0  # pixels of the window, and of an iris in it
@@ -123,7 +123,7 @@ def _opening(
 ) -> np.ndarray:
     """(SIZE, SIZE) bool: what the registered lids leave free, less their edges and the upper lid's shade."""
     side = ("left", "right")[eye]
-    upper, lower = skin[template.contours[f"lid_upper_{side}"]], skin[lower_edges(template)[f"lid_lower_{side}"]]
+    upper, lower = (skin[seen_line(template, f"lid_{half}_{side}")] for half in ("upper", "lower"))
     outline = np.concatenate([upper, lower[::-1]])
     ray = outline - camera
     on = camera + ray * (((middle - camera) @ gaze) / (ray @ gaze))[:, None]

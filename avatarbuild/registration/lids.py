@@ -55,22 +55,21 @@ def lid_bands(template: Template) -> tuple[LidBand, LidBand]:
     return _lid_bands(_Same(template))
 
 
-def lower_edges(template: Template) -> dict[str, np.ndarray]:
+def seen_line(template: Template, name: str) -> np.ndarray:
     """
-    By the names of the lower lids' contours the vertices of the lids' inner edges beside the contours' vertices.
+    The vertices at which photos show a contour of the template: its own, but of the lower lids.
 
-    A contour is the rim's outer edge, where the lashes stand. Seen from before, the upper lid ends there; below the eye
-    the rim, about 1 mm thick, is turned up, and the white ends at its inner edge.
+    A lid's contour is the rim's outer edge, where the lashes stand. Seen from before, the upper lid ends there; below
+    the eye the rim, about 1 mm thick, is turned up, and the white ends at its inner edge: the vertices of the contact
+    line beside the contour's, the corners left as they are.
     """
-    edges: dict[str, np.ndarray] = {}
-    if eye_shape(template) is None:
-        return edges
-    for side, band in zip(("left", "right"), lid_bands(template)):
-        line = template.contours[f"lid_lower_{side}"].copy()
-        off = np.linalg.norm(template.mean[line][:, None] - template.mean[band.contact], axis=2)
-        line[1:-1] = band.contact[off.argmin(axis=1)][1:-1]
-        edges[f"lid_lower_{side}"] = line
-    return edges
+    line = template.contours[name]
+    side = name.removeprefix("lid_lower_")
+    if side == name or eye_shape(template) is None:
+        return line
+    contact = lid_bands(template)[EYE_PARTS.index(f"eye_{side}")].contact
+    off = np.linalg.norm(template.mean[line][:, None] - template.mean[contact], axis=2)
+    return np.concatenate([line[:1], contact[off.argmin(axis=1)][1:-1], line[-1:]])
 
 
 class _Same:

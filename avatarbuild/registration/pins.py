@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from avatarbuild.registration.lids import lower_edges
+from avatarbuild.registration.lids import seen_line
 from avatarbuild.registration.shell import Pins
 from avatarbuild.registration.sightings import Sightings
 from avatarbuild.template import Template
@@ -68,7 +68,7 @@ def pins(
     model (n, 3) the morphable model's fit; standard deviations in mm: `landmark` of single landmarks, `rim` across lids
     and the seam of the lips, `border` across the lips' outer edge and the brows, `slide` along all of these. Detectors
     place rims well across the face and poorly in depth: of lips, which the cloud shows, the depth is left to it. Of
-    lower lids they see the inner edge (`lower_edges`). A border that the user has drawn counts like a rim.
+    lower lids they see the inner edge (`seen_line`). A border that the user has drawn counts like a rim.
     """
     n = template.parts["skin"].vertices.stop
     chains = (
@@ -86,10 +86,8 @@ def pins(
     places = [seen.points[index]]
     stiff = [seen.precision[index] / landmark**2]
 
-    inner = lower_edges(template)
-
     def along(name: str, at: np.ndarray, tangent: np.ndarray, sigma: float, depth: float | None) -> None:
-        line = inner.get(name, template.contours[name])
+        line = seen_line(template, name)
         sigma = min(sigma, rim) if name in seen.drawn else sigma
         spacing = 3.5 / max(len(line), 1) ** 0.5  # the more vertices a curve has, the less each counts
         sight = _sight(at, seen)

@@ -11,6 +11,7 @@ import pycolmap
 from avatarbuild.artefacts import Cameras, Capture, Neutral
 from avatarbuild.geometry.meshes import face_vectors
 from avatarbuild.geometry.raster import rasterise
+from avatarbuild.registration.lids import seen_line
 from avatarbuild.sfm.metric import placed_photos
 from avatarbuild.template import Template
 
@@ -199,8 +200,9 @@ def rim_landmarks(template: Template, names: tuple[str, ...]) -> np.ndarray:
 
 
 def contour_distance(points: np.ndarray, pixels: np.ndarray, template: Template, names: tuple[str, ...]) -> np.ndarray:
-    """(k,) pixels from points (k, 2) to the nearest of the named contours, drawn at the mesh's pixels (n, 2)."""
-    ends = [np.stack([pixels[line[:-1]], pixels[line[1:]]], axis=1) for line in (template.contours[n] for n in names)]
+    """(k,) pixels from points (k, 2) to the nearest of the contours `names` as photos show them; pixels (n, 2)."""
+    lines = [seen_line(template, name) for name in names]
+    ends = [np.stack([pixels[line[:-1]], pixels[line[1:]]], axis=1) for line in lines]
     a, b = np.moveaxis(np.concatenate(ends), 1, 0)
     along = b - a
     length = np.maximum((along**2).sum(axis=1), 1e-12)
@@ -232,8 +234,9 @@ def _contours(
     template: Template,
     names: tuple[str, ...] | None = None,
 ) -> None:
-    for name, line in template.contours.items():
+    for name in template.contours:
         if names is None or name in names:
+            line = seen_line(template, name)
             colour = LIDS if name.startswith("lid") else LIPS if name.startswith("lips") else BROWS
             pairs = np.stack([line[:-1], line[1:]], axis=1)
             _lines(image, at[pairs[visible[pairs].all(axis=1)]], colour, 1)
