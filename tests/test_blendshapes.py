@@ -317,6 +317,25 @@ def test_blink_closes_the_eyes(seed: int) -> None:
     assert eye_pixels(posed, middle) == 0
 
 
+def test_lids_above_which_the_skin_lies_near_the_eye_close_on_the_lower_ones() -> None:
+    t = synthetic.template()
+    contacts = Contacts(t, Head(t.mean, t.eye_centres))
+    head, j = t.mean.copy(), ARKIT_NAMES.index("eyeBlinkLeft")
+    band, eye = contacts.lids[0].band, contacts.lids[0].own
+    beside = band.ring > band.touch
+    near = band.vertices[beside]
+    clear, direction = eye.clearance(head[near])
+    ends = np.clip((25 - band.ring[beside]) / 8, 0, 1)[:, None]
+    head[near] -= ends * np.clip(0.45 * clear, 0, 1.2)[:, None] * direction
+    made = blendshapes.run(replace(itself(t), vertices=head), BlendshapesOptions(), Silent(), t)
+    assert made.figures["lid_gap_mm"] < 0.05
+    assert made.figures["lid_sunk_mm"] < 0.3
+    rim = band.vertices[(band.ring == band.touch + 2) & (band.over > 0.9)]
+    # lifted forwards as the skin has to be, and hardly farther down than the template's
+    lower = t.mean[rim, 1] + t.expressions[j, rim, 1] - (head + made.deltas[j])[rim, 1]
+    assert 0 < lower.max() < 1.5
+
+
 @pytest.mark.parametrize("seed", SEEDS[:2])
 def test_parts_move_as_they_should(seed: int) -> None:
     t, made = synthetic.template(), built(seed)

@@ -145,34 +145,9 @@ def test_skin_that_the_cloud_knows_follows_the_lids_less_far(template):
             np.mean([off[: len(band.ring)][band.ring == ring].mean() for band in lid_bands(template)])
             for ring in (2, 5, 8)
         ]
-    assert moved["told"][0] < moved["untold"][0]  # lids that the cloud tells of are thinner rather than pushed out
+    assert moved["told"][0] == pytest.approx(moved["untold"][0])  # the rim lies on the ball all the same
     assert moved["told"][1] < 0.6 * moved["untold"][1]
     assert moved["told"][2] < 0.3 * moved["untold"][2]
-
-
-def test_lids_are_as_thin_as_the_cloud_tells(template):
-    """Skin that lies 1.2 mm too near to the ball: contact stays, thickness gives way."""
-    bands, radius = lid_bands(template), np.full(2, 12.0)
-    skin, seen = template.mean.copy(), np.zeros(len(template.mean))
-    for band, centre in zip(bands, template.eye_centres):
-        lids = np.flatnonzero((band.ring >= -1) & (band.ring < FAR))
-        direction = skin[lids] - centre
-        skin[lids] -= 1.2 * direction / np.linalg.norm(direction, axis=1, keepdims=True)
-        seen[np.flatnonzero((band.ring > 2) & (band.ring < FAR))] = 1.0
-    upper = {}
-    for name, known in (("told", seen), ("untold", None)):
-        settled = settle_lids(skin, template.eye_centres, radius, template, None, known)
-        fit = lid_fit(settled, template.eye_centres, radius, template)
-        assert max(fit.contact, fit.rim) < 0.03
-        assert fit.poke < 0.05
-        rows = [np.flatnonzero((band.ring == 2) & (band.gap > 1.4)) for band in bands]
-        r = [
-            np.linalg.norm(settled[k] - c, axis=1) - np.linalg.norm(template.mean[k] - c, axis=1)
-            for k, c in zip(rows, template.eye_centres)
-        ]
-        upper[name] = np.concatenate(r).mean()
-    assert abs(upper["untold"]) < 0.1
-    assert -1.0 < upper["told"] < -0.5
 
 
 def test_lids_settle_wherever_the_head_stands(template):

@@ -222,21 +222,26 @@ def _raised(band: LidBand, posed: np.ndarray, centre: np.ndarray, angles: np.nda
 
 
 def _bulged(band: LidBand, rest: np.ndarray, posed: np.ndarray, eye: Eye, way: np.ndarray) -> np.ndarray:
-    """posed (b, 3) lifted where the straight way there from rest (b, 3) is nearer to the eye than way (3, b), CLEAR."""
+    """posed (b, 3) lifted where the straight way there from rest (b, 3) is nearer to the eye than way (3, b), CLEAR.
+
+    All is lifted away from the eye as seen half-way: there the eye is in the way, and away from it at the end would be
+    down the cheek as well."""
     out = posed
     rim = np.clip((band.ring - band.touch) / 2, 0, 1)  # the line that touches the eye goes on doing so
     skin = (band.ring > band.touch + 1) & (band.ring <= FADE)
+    _, away = eye.clearance((rest + posed) / 2)
     for _ in range(3):
         lack = np.zeros(len(rest))
         for w, source in zip(WAY, way, strict=True):
             clear, direction = eye.clearance(rest + w * (out - rest))
             short = np.minimum(source, CLEAR) - clear
-            lack = np.maximum(lack, np.where(skin & (direction @ eye.gaze > FRONT), short, 0) / w)
+            helps = w * np.maximum((direction * away).sum(axis=1), 0.5)
+            lack = np.maximum(lack, np.where(skin & (direction @ eye.gaze > FRONT), short, 0) / helps)
         if lack.max() <= 0:
             break
         for _ in range(3):
             lack = np.maximum(lack, band.average @ lack)
-        out = out + (rim * lack)[:, None] * eye.clearance(out)[1]
+        out = out + (rim * lack)[:, None] * away
     return out
 
 

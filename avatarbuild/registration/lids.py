@@ -22,10 +22,6 @@ FAR = 99
 _FRONT = 0.2  # cosine to the gaze beyond which skin is looked at for poking through
 _CLEAR = 0.25  # mm of skin that stay between the eyeball and the outside of the lids
 _ROUNDS = 3
-_NEAR = 5  # rings outside the rim: the last whose skin tells how thick the lids are
-_THIN = 0.4  # of the template's thickness: the thinnest lids
-_DOUBT = 0.4  # mm that known skin may lie nearer to the eyeball than the template's before the lids are thinner
-_BESIDE = 2.0  # mm: standard deviation of the place of the skin that tells
 _CLOSE = 0.01  # worth of a vertex's staying beside the smoothness: about three rings for what the rim has moved to fade
 
 
@@ -137,9 +133,8 @@ def settle_lids(
     """
     min sum_v || (L d)_v ||^2 + _CLOSE s_v || d_v ||^2 over the lids' outside, d_v = (R(direction_v) + gap_v -
     |x_v - c|) direction_v on the rim, on what moves as one with it and on all that lies inside, 0 beyond the band: the
-    lids laid onto the eyeballs, their thickness at the rim the template's, or less where known skin beside them lies
-    nearer to the eyeball than so thick a lid would let it; the skin around follows smoothly, and the less the better
-    it is known (s). Then what lies too near is lifted.
+    lids laid onto the eyeballs, their thickness at the rim the template's, the skin around following smoothly, and the
+    less the better it is known (s). Then what lies too near is lifted.
 
     vertices (>= v, 3) skin first, centres (2, 3), radius (2,) mm, in one frame; ahead (3,) where the eyeballs look,
     +z if None; seen (>= v,) in 0..1: how far the cloud has told where the skin is, nowhere if None. Returns the
@@ -170,8 +165,7 @@ def _settle(
     held = np.flatnonzero(ring <= HELD)
     free = np.flatnonzero((ring > HELD) & (ring < OUTER))
     r, direction, cosine = offsets(skin[held], centre, ahead)
-    gap = band.gap[held] * _thickness(skin, held, centre, radius, band, shape, ahead, seen)
-    moved = (shape.surface(cosine, radius) + gap - r)[:, None] * direction
+    moved = (shape.surface(cosine, radius) + band.gap[held] - r)[:, None] * direction
     band_rows = np.flatnonzero(ring <= OUTER + 1)
     number = np.full(len(ring), -1)
     number[band_rows] = np.arange(len(band_rows))
@@ -199,35 +193,11 @@ def _settle(
     return out
 
 
-def _thickness(
-    skin: np.ndarray,
-    held: np.ndarray,
-    centre: np.ndarray,
-    radius: float,
-    band: LidBand,
-    shape: EyeShape,
-    ahead: np.ndarray,
-    seen: np.ndarray,
-) -> np.ndarray:
-    """
-    (k,) the lids' thickness at the vertices `held` (k,) as a share of the template's, in _THIN ... 1: the mean of
-    (height over the ball + _DOUBT) / gap over the rings beside the rim, by nearness and by how far their skin is known.
-    1 for what lies within the ball.
-    """
-    around = np.flatnonzero((band.ring >= 0) & (band.ring <= _NEAR) & (seen > 0) & (band.gap > _CLEAR))
-    height = _height(skin[around], centre, radius, shape, ahead)
-    thinner = 1 - np.clip((height + _DOUBT) / band.gap[around], _THIN, 1)
-    off = ((skin[held][:, None] - skin[around]) ** 2).sum(axis=2)
-    worth = seen[around] * np.exp(-0.5 * off / _BESIDE**2)
-    share = 1 - worth @ thinner / (worth.sum(axis=1) + 0.05)
-    return np.where(band.gap[held] > 0, share, 1)
-
-
 @dataclass(frozen=True)
 class LidFit:
     """
-    Of both eyes, mm: `contact` the largest distance between the ball and the vertices that touch it, `rim` how far the
-    rim lies at most above or below what its thickness may be, `poke` how far the ball stands through the skin.
+    Of both eyes, mm: `contact` the largest distance between the ball and the vertices that touch it, `rim` the largest
+    departure of the rim's height over the ball from the template's, `poke` how far the ball stands through the skin.
     """
 
     contact: float
@@ -247,8 +217,7 @@ def lid_fit(
     for band, centre, size in zip(lid_bands(template), centres, radius):
         height = _height(vertices, centre, float(size), shape, ahead)
         contact = max(contact, float(np.abs(height[band.contact] - band.gap[band.contact]).max(initial=0)))
-        over = height[band.rim] - np.clip(height[band.rim], _THIN * band.gap[band.rim], band.gap[band.rim])
-        rim = max(rim, float(np.abs(over).max(initial=0)))
+        rim = max(rim, float(np.abs(height[band.rim] - band.gap[band.rim]).max(initial=0)))
         outside = band.triangles[(band.ring[band.triangles] >= 0).all(axis=1)]
         a, b, c = (vertices[outside[:, k]] for k in range(3))
         samples = np.concatenate([a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2, (a + b + c) / 3])

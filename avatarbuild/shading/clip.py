@@ -13,7 +13,7 @@ from avatarbuild.texture import occlusion
 from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.neck import bent
 
-GOOD = 0.35  # quality from which a frame counts
+GOOD = 0.5  # quality from which a frame counts: light does not know of blur and hands, as the texture's flow does
 LEAST_FRAMES = 5
 
 
