@@ -14,6 +14,7 @@ from test_details_stage import BROWS, FRAMES, LENS, LIGHT, R, T, albedo, perform
 from avatarbuild.artefacts import Performance
 from avatarbuild.formats.colour import encode_srgb
 from avatarbuild.progress import Silent
+from avatarbuild.shading.clip import good_frames, pictures
 from avatarbuild.shading.depth import Told, told
 from avatarbuild.shading.registration import FREEDOM
 from avatarbuild.shading.surface import draw, fine_skin
@@ -40,7 +41,8 @@ def picture(i: int) -> np.ndarray:
 
 def asked(take: Performance) -> Told:
     images = [SimpleNamespace(rgb=partial(picture, i)) for i in range(FRAMES)]
-    capture: Any = SimpleNamespace(clip=SimpleNamespace(file="clip.mp4", frames=SimpleNamespace(images=images)))
+    frames = SimpleNamespace(images=images)
+    capture: Any = SimpleNamespace(clip=SimpleNamespace(file="clip.mp4", processed=take.processed, frames=frames))
     found = (capture, albedo(), shapes(), take, np.arange(FRAMES), synthetic.template())
     return told(*found, 1.0, FREEDOM.worth, Silent())
 
@@ -63,3 +65,19 @@ def test_the_light_tells_of_a_bulge_and_is_not_believed_twice() -> None:
     twice = asked(lit)
     assert forward(first.deltas) < forward(known.deltas) < 1.6 * forward(first.deltas)
     assert forward(twice.deltas) > 1.15 * forward(known.deltas)
+
+
+def test_frames_without_a_face_move_no_pictures() -> None:
+    images = [SimpleNamespace(rgb=lambda i=i: np.full((1, 1, 3), i)) for i in range(5)]
+    clip: Any = SimpleNamespace(processed=np.array([0, 3, 6, 9, 12]), frames=SimpleNamespace(images=images))
+    take: Any = SimpleNamespace(processed=np.array([0, 9, 12]))  # no face in 3 and 6
+    rgb = pictures(clip, take)
+    assert [int(rgb(row)[0, 0, 0]) for row in range(3)] == [0, 3, 4]
+
+
+def test_frames_that_a_hand_hides_in_part_tell_nothing() -> None:
+    take: Any = SimpleNamespace(
+        processed=np.array([0, 2, 4, 6]), modelled=np.array([True, True, False, True]), quality=np.full(7, 1.0)
+    )
+    take.quality[2] = 0.45
+    assert good_frames(take).tolist() == [0, 3]

@@ -87,7 +87,8 @@ def picture(i: int) -> np.ndarray:
 @cache
 def capture() -> Any:
     images = [SimpleNamespace(rgb=partial(picture, i)) for i in range(FRAMES)]
-    return SimpleNamespace(clip=SimpleNamespace(file="clip.mp4", frames=SimpleNamespace(images=images)))
+    frames = SimpleNamespace(images=images)
+    return SimpleNamespace(clip=SimpleNamespace(file="clip.mp4", processed=performance().processed, frames=frames))
 
 
 @cache

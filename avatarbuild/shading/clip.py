@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from avatarbuild.artefacts import Albedo, Capture, Performance
+from avatarbuild.artefacts import Albedo, Capture, Clip, Performance
 from avatarbuild.progress import Progress
 from avatarbuild.shading.observation import View, Watched, watch
 from avatarbuild.shading.surface import FineSkin, factor_for, fine_skin
@@ -40,13 +42,19 @@ def watched_clip(
 ) -> Watched:
     """The processed frames `rows` on the posed head, with `pixel` mm of the face to a pixel."""
     assert capture.clip is not None
-    images = capture.clip.frames.images
+    rgb = pictures(capture.clip, performance)
     lens = Lens(performance.focal, performance.k1, performance.size)
     views = [posed(performance, int(performance.processed[row]), int(row)) for row in rows]
     first = views[0]
     factor = factor_for(template, first.vertices, lens, first.R, first.t, pixel)
     with progress.task(title, len(views)) as task:
-        return watch(skin, views, lambda row: images[row].rgb(), lens, factor, task.advance)
+        return watch(skin, views, rgb, lens, factor, task.advance)
+
+
+def pictures(clip: Clip, performance: Performance) -> Callable[[int], np.ndarray]:
+    """row -> (h, w, 3) uint8, the picture of a processed frame; the clip keeps frames without the face, too."""
+    kept = np.searchsorted(clip.processed, performance.processed)
+    return lambda row: clip.frames.images[kept[row]].rgb()
 
 
 def posed(performance: Performance, frame: int, row: int) -> View:
