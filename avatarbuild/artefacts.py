@@ -371,6 +371,7 @@ class Blendshapes:
             return Blendshapes(arrays["neutral"], arrays["deltas"], arrays["eye_centres"])
 
 
+GOOD = 0.5  # quality from which a tracked frame is good
 _PERFORMANCE_ARRAYS = (
     *("times", "weights", "rotation", "translation", "torso_rotation", "torso_translation", "neck"),
     *("quality", "gaze", "processed", "modelled"),
@@ -421,6 +422,11 @@ class Performance:
     evidence: np.ndarray
     figures: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+
+    @property
+    def good(self) -> np.ndarray:
+        """(f,) bool: frames of quality GOOD and more, which may be shown and whose light may be read."""
+        return np.asarray(self.quality >= GOOD)
 
     def save(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)

@@ -17,6 +17,7 @@ from avatarbuild.energies.lid_contact import Eye, LidBand
 from avatarbuild.energies.lip_contact import LipBand
 from avatarbuild.energies.tooth_cover import Mouth
 from avatarbuild.geometry import meshes
+from avatarbuild.geometry.smooth_step import smooth_step
 from avatarbuild.solvers.sparse import Factor
 from avatarbuild.template import EYE_PARTS, Template
 
@@ -29,9 +30,7 @@ TOGETHER = (
 """Shapes of a side that act together in a smile, and whose sum must not let the eyeball through the skin below it."""
 STILL = 1e-7  # mm: less is no motion
 REACH = 20.0  # mm from the skin that a template's shape moves, over which a person's may still move
-HELD = (
-    8.0  # mm from lids and lips that a template's shape holds still, within which a person's may not move all the way
-)
+HELD = 8.0  # mm from lids and lips that a template's shape holds still, over which a person's motion begins
 LIMITS = (
     ("lid_gap_mm", 0.3, "closed lids are {} mm off their place on the eyeballs: look at eyeBlink"),
     ("lid_sunk_mm", 0.6, "eyeballs show through closing lids by {} mm: look at eyeBlink"),
@@ -132,11 +131,13 @@ class Contacts:
             held[lids.band.vertices] = True
         share = np.zeros(poses.shape[:2])
         for one, moving in zip(share, np.linalg.norm(poses, axis=2) > STILL, strict=True):
-            if moving.any():
-                one[:] = lid_contact.smooth_step(1 - _distances(mean, moving) / REACH)
-                if (still := held & ~moving).any():
-                    one *= lid_contact.smooth_step(_distances(mean, still) / HELD)
-                one[moving] = 1
+            if not moving.any():
+                continue
+            one[moving] = 1
+            still, free = np.flatnonzero(held & ~moving), np.flatnonzero(~held & ~moving)
+            off = _distances(mean[free], mean[moving], REACH)
+            near, off = free[off < REACH], off[off < REACH]
+            one[near] = smooth_step(1 - off / REACH) * smooth_step(_distances(mean[near], mean[still], HELD) / HELD)
         return share
 
     def clear_eyes(self, deltas: np.ndarray) -> None:
@@ -198,6 +199,6 @@ class Contacts:
         return worst
 
 
-def _distances(points: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """(n,) from points (n, 3) to the nearest of the chosen ones (n,) bool."""
-    return cKDTree(points[chosen]).query(points)[0]
+def _distances(points: np.ndarray, others: np.ndarray, most: float) -> np.ndarray:
+    """(n,) from points (n, 3) to the nearest of others (m, 3), infinite from `most` on."""
+    return cKDTree(others).query(points, distance_upper_bound=most)[0]

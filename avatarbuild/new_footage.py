@@ -93,7 +93,7 @@ def track(
     figures = {
         "frames": len(made.times),
         "seconds": round(float(made.times[-1]), 2),
-        "good": int((made.quality >= 0.5).sum()),
+        "good": int(made.good.sum()),
         "lost": int((made.quality == 0).sum()),
         "focal": round(made.focal, 1),
     }

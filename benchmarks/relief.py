@@ -27,12 +27,13 @@ from avatarbuild.formats.images import encode_png
 from avatarbuild.formats.video import decode_frames
 from avatarbuild.geometry.mipmap import build_mipmap
 from avatarbuild.geometry.raster import rasterise
+from avatarbuild.geometry.smooth_step import smooth_step
 from avatarbuild.shading.observation import Seen, View, Watched, watch
 from avatarbuild.shading.relief import FINE, Relief, ReliefWeights, light_seen, relief
 from avatarbuild.shading.surface import fine_skin
 from avatarbuild.simulation import truth
 from avatarbuild.simulation.light import Light, room_light
-from avatarbuild.simulation.noise import fractal, smoothstep
+from avatarbuild.simulation.noise import fractal
 from avatarbuild.simulation.performance import perform
 from avatarbuild.simulation.photographs import Shot, develop
 from avatarbuild.simulation.rendering import Camera, Skin, draw
@@ -172,7 +173,7 @@ def painted(head: Head, seed: int) -> tuple[np.ndarray, Head]:
         j = int(rng.integers(len(rows)))
         centre, radius = chart.position[rows[j], columns[j]], rng.uniform(0.8, 2.5)
         distance = np.linalg.norm(chart.position - centre, axis=-1)
-        spot = smoothstep(distance, radius * 1.15, radius * 0.8) * (chart.part == 0)
+        spot = smooth_step(distance, radius * 1.15, radius * 0.8) * (chart.part == 0)
         albedo *= 1 - spot[..., None] * np.array([0.5, 0.62, 0.7], np.float32)
         marks[(distance < radius) & (chart.part == 0)] = k
     surface = replace(beard, albedo=albedo, relief=np.zeros_like(beard.relief), slopes=np.zeros_like(beard.slopes))

@@ -272,9 +272,8 @@ def test_learnt_motion_ends_softly_beyond_the_templates_and_leaves_held_lids_and
         if its.any():
             assert (one[cKDTree(mean[its]).query(mean)[0] > REACH] == 0).all()
         free = ~its[edges].any(axis=0)
-        assert (
-            np.abs(one[edges[0]] - one[edges[1]])[free] <= 1.5 * (1 / REACH + 1 / HELD) * lengths[free] + 1e-9
-        ).all()
+        steps = np.abs(one[edges[0]] - one[edges[1]])[free]
+        assert (steps <= 1.5 * (1 / REACH + 1 / HELD) * lengths[free] + 1e-9).all()
 
 
 def test_a_nose_may_follow_puffed_cheeks_but_not_the_forehead() -> None:

@@ -76,8 +76,8 @@ def test_frames_without_a_face_move_no_pictures() -> None:
 
 
 def test_frames_that_a_hand_hides_in_part_tell_nothing() -> None:
-    take: Any = SimpleNamespace(
-        processed=np.array([0, 2, 4, 6]), modelled=np.array([True, True, False, True]), quality=np.full(7, 1.0)
-    )
-    take.quality[2] = 0.45
+    quality = np.full(7, 1.0)
+    quality[2] = 0.45
+    teaches = np.array([True, True, False, True])
+    take = replace(performance(), processed=np.array([0, 2, 4, 6]), modelled=teaches, quality=quality)
     assert good_frames(take).tolist() == [0, 3]

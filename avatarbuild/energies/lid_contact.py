@@ -16,6 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from avatarbuild.geometry import rings
+from avatarbuild.geometry.smooth_step import smooth_step
 
 EDGE, FADE, REACH = 9, 20, 25  # rings: the lid's edge ends; radial corrections end; all corrections end
 MIDDLE = 0.1  # radians about the eye over which the lower lid passes into the upper one
@@ -225,7 +226,8 @@ def _bulged(band: LidBand, rest: np.ndarray, posed: np.ndarray, eye: Eye, way: n
     """posed (b, 3) lifted where the straight way there from rest (b, 3) is nearer to the eye than way (3, b), CLEAR.
 
     All is lifted away from the eye as seen half-way: there the eye is in the way, and away from it at the end would be
-    down the cheek as well."""
+    down the cheek as well.
+    """
     out = posed
     rim = np.clip((band.ring - band.touch) / 2, 0, 1)  # the line that touches the eye goes on doing so
     skin = (band.ring > band.touch + 1) & (band.ring <= FADE)
@@ -243,12 +245,6 @@ def _bulged(band: LidBand, rest: np.ndarray, posed: np.ndarray, eye: Eye, way: n
             lack = np.maximum(lack, band.average @ lack)
         out = out + (rim * lack)[:, None] * away
     return out
-
-
-def smooth_step(t: np.ndarray) -> np.ndarray:
-    """3 t^2 - 2 t^3, t held within [0, 1]."""
-    t = np.clip(t, 0, 1)
-    return t * t * (3 - 2 * t)
 
 
 def _elevation(points: np.ndarray, centre: np.ndarray) -> np.ndarray:

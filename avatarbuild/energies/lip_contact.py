@@ -18,6 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from avatarbuild.geometry import rings
+from avatarbuild.geometry.smooth_step import smooth_step
 
 REACH = 12  # rings from the lines over which corrections die out
 SEALED, PARTED = 0.6, 2.0  # mm of vertical parting in the source
@@ -73,8 +74,7 @@ def lip_errors(band: LipBand, delta: np.ndarray, source: np.ndarray) -> tuple[np
     for own, other, at, sign in ((band.upper, band.lower, band.below, 1), (band.lower, band.upper, band.above, -1)):
         wanted, now = source[own] - at @ source[other], delta[own] - at @ delta[other]
         parting = np.abs(wanted[:, 1])
-        share = np.clip((PARTED - parting) / (PARTED - SEALED), 0, 1)
-        share = share * share * (3 - 2 * share)
+        share = smooth_step(parting, PARTED, SEALED)
         error = share[:, None] * (now - wanted)
         # past each other: the upper lip's vertex below the lower's point, farther than the source's
         lack = sign * now[:, 1] - np.minimum(sign * wanted[:, 1], 0)

@@ -20,7 +20,6 @@ from avatarbuild.formats.track import poses
 from avatarbuild.template import EYE_PARTS, Template
 
 CAMERA, ANIMATION = "video_camera", "performance"
-_GOOD = 0.5  # quality from which a frame is good
 _NEAR = 0.01  # metres before the camera from which a viewer draws
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -28,7 +27,7 @@ _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 def add(writer: Writer, template: Template, performance: Performance, nodes: dict[str, int]) -> int:
     """Adds camera, its node and the animation to a file whose parts are at `nodes`; returns the camera's node."""
     views = _FLIP @ poses(performance)
-    place = np.linalg.inv(views[_rest(performance.quality)])
+    place = np.linalg.inv(views[_rest(performance)])
     heads = place @ views
     node = {
         "name": CAMERA,
@@ -81,7 +80,7 @@ def _camera(performance: Performance) -> dict[str, Any]:
     }
 
 
-def _rest(quality: np.ndarray) -> int:
+def _rest(performance: Performance) -> int:
     """The first good frame, else the best."""
-    good = np.asarray(quality) >= _GOOD
-    return int(good.argmax() if good.any() else np.argmax(quality))
+    good = performance.good
+    return int(good.argmax() if good.any() else np.argmax(performance.quality))

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from avatarbuild.geometry.raster import interpolate, rasterise
+from avatarbuild.geometry.smooth_step import smooth_step
 from avatarbuild.registration.eye_shape import EyeShape
 from avatarbuild.template import Template
 from avatarbuild.texture.chart import continued
@@ -67,13 +68,13 @@ def paint_eye(offset: np.ndarray, shape: EyeShape, iris: np.ndarray = HAZEL, see
     turn = np.arctan2(offset[..., 1], offset[..., 0])
     front = offset[..., 2] > 0
     share = np.where(front, (radius - PUPIL) / (shape.limbus_radius - PUPIL), 9.0)
-    within = 1 - _step(radius, shape.limbus_radius - _RIM / 2, shape.limbus_radius + _RIM / 2)
+    within = 1 - smooth_step(radius, shape.limbus_radius - _RIM / 2, shape.limbus_radius + _RIM / 2)
     within = np.where(front, within, 0.0)
     white = _white(offset, rng)
     rows, columns = np.nonzero(within > 0)
     stroma = np.zeros_like(white)
     stroma[rows, columns] = _stroma(turn[rows, columns], share[rows, columns], np.asarray(iris), rng)
-    pupil = np.where(front, 1 - _step(radius, PUPIL - 0.12, PUPIL + 0.14), 0.0)
+    pupil = np.where(front, 1 - smooth_step(radius, PUPIL - 0.12, PUPIL + 0.14), 0.0)
     return EyePainting(white, stroma, within, pupil, share)
 
 
@@ -88,10 +89,10 @@ def _stroma(turn: np.ndarray, share: np.ndarray, iris: np.ndarray, rng: np.rando
     crypts = np.clip(_polar_noise(rng, 26, 5, turn, s) - 0.55, 0, None) * np.exp(-(((s - 0.42) / 0.22) ** 2))
     edge = 0.30 + 0.05 * _polar_noise(rng, 40, 2, turn, np.full_like(s, 0.5))
     collarette = np.exp(-(((s - edge) / 0.07) ** 2))
-    inner = _step(edge - s, -0.06, 0.06)
-    furrow = 0.06 * np.sin(14 * s + 2 * _polar_noise(rng, 9, 2, turn, s)) * _step(s, 0.5, 0.8)
+    inner = smooth_step(edge - s, -0.06, 0.06)
+    furrow = 0.06 * np.sin(14 * s + 2 * _polar_noise(rng, 9, 2, turn, s)) * smooth_step(s, 0.5, 0.8)
     tone = 0.30 * fibre * np.sin(np.pi * (0.12 + 0.8 * s)) + 0.38 * collarette - 0.10 * inner - 0.9 * crypts + furrow
-    tone = tone - 1.15 * _step(s, 0.78, 1.0) - 0.4 * _step(0.10 - s, 0.0, 0.10)
+    tone = tone - 1.15 * smooth_step(s, 0.78, 1.0) - 0.4 * smooth_step(0.10 - s, 0.0, 0.10)
     warm = 0.35 * inner + 0.15 * collarette + 0.08 * _polar_noise(rng, 12, 2, turn, s)
     return np.clip(iris * np.exp(tone[:, None] + warm[:, None] * [0.35, 0.0, -0.55]), 0.002, 0.9)
 
@@ -117,8 +118,8 @@ def _white(offset: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     soft = cv2.GaussianBlur(net, (0, 0), 0.7)
     x = (size / 2 + scale * away * np.cos(turn) - 0.5).astype(np.float32)
     y = (size / 2 + scale * away * np.sin(turn) - 0.5).astype(np.float32)
-    vein = cv2.remap(soft, x, y, cv2.INTER_LINEAR) * _step(away, np.radians(32), np.radians(62))
-    far = _step(away, np.radians(50), np.radians(100))[..., None]
+    vein = cv2.remap(soft, x, y, cv2.INTER_LINEAR) * smooth_step(away, np.radians(32), np.radians(62))
+    far = smooth_step(away, np.radians(50), np.radians(100))[..., None]
     return WHITE * (1 - far * [0.04, 0.15, 0.17]) * (1 - vein[..., None] * [0.10, 0.42, 0.40])
 
 
@@ -132,8 +133,3 @@ def _polar_noise(rng: np.random.Generator, around: int, along: int, turn: np.nda
     pad = -len(x) % width
     x, y = (np.pad(v, (0, pad)).reshape(-1, width) for v in (x, y))
     return cv2.remap(cells, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE).ravel()[: len(turn)] * 1.4
-
-
-def _step(value: np.ndarray, low: float, high: float) -> np.ndarray:
-    t = np.clip((value - low) / (high - low), 0, 1)
-    return t * t * (3 - 2 * t)

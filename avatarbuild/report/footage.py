@@ -15,7 +15,6 @@ from avatarbuild.report.rendering import Paint, Seen, colour_image, finish, shad
 from avatarbuild.report.shading import Light
 from avatarbuild.template import ARKIT_NAMES, Template
 
-GOOD = 0.5  # quality from which a frame is shown
 _ROOM = 0.18  # of a shape's extent, about it
 _LEAST = 0.35  # of a shape's largest motion, from which a vertex belongs to it
 
@@ -35,8 +34,8 @@ def footage(capture: Capture, performance: Performance) -> Footage:
     if capture.clip is None or not len(performance.times):
         return Footage(none, none)
     numbers, places, _ = np.intersect1d(capture.clip.processed, performance.processed, return_indices=True)
-    quality = performance.quality[numbers]
-    shown = quality >= GOOD if (quality >= GOOD).any() else quality > 0
+    good = performance.good[numbers]
+    shown = good if good.any() else performance.quality[numbers] > 0
     return Footage(numbers[shown], places[shown])
 
 

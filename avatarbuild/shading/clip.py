@@ -15,13 +15,15 @@ from avatarbuild.texture import occlusion
 from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.neck import bent
 
-GOOD = 0.5  # quality from which a frame counts: light does not know of blur and hands, as the texture's flow does
 LEAST_FRAMES = 5
 
 
 def good_frames(performance: Performance) -> np.ndarray:
-    """(g,) rows of the processed frames that may teach, and were tracked well."""
-    return np.flatnonzero(performance.modelled & (performance.quality[performance.processed] >= GOOD))
+    """
+    (g,) rows of the processed frames that may teach, and were tracked well: light knows nothing of blur and hands,
+    as the texture's flow does.
+    """
+    return np.flatnonzero(performance.modelled & performance.good[performance.processed])
 
 
 def fine_skin_of(albedo: Albedo, performance: Performance, template: Template) -> FineSkin:

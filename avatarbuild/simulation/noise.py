@@ -123,9 +123,3 @@ def plane(h: int, w: int, step: float = 1.0) -> np.ndarray:
     """(h, w, 3) float32 points of a plane `step` apart, off the lattice's own planes."""
     y, x = np.meshgrid(np.arange(h, dtype=np.float32), np.arange(w, dtype=np.float32), indexing="ij")
     return np.stack([x * step, y * step, np.full_like(x, 0.37)], axis=-1)
-
-
-def smoothstep(x: np.ndarray, low: float, high: float) -> np.ndarray:
-    """0 below `low`, 1 above `high`, 3 s^2 - 2 s^3 between; falling where low > high."""
-    s = np.clip((np.asarray(x) - low) / (high - low), 0, 1)
-    return s * s * (3 - 2 * s)

@@ -8,7 +8,8 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from avatarbuild.simulation.noise import cells, fractal, plane, smoothstep
+from avatarbuild.geometry.smooth_step import smooth_step
+from avatarbuild.simulation.noise import cells, fractal, plane
 
 _TILE = 768
 
@@ -57,17 +58,17 @@ def wallpaper(rng: np.random.Generator, grain: Grain, h: int, w: int, texel: flo
     x, y = x + bend, y + bend[::-1]
     kind = rng.integers(4)
     if kind == 0:
-        pattern = smoothstep(np.sin(wave * x + 1.3 * np.sin(wave * y)) * np.sin(wave * y), -0.1, 0.1)
+        pattern = smooth_step(np.sin(wave * x + 1.3 * np.sin(wave * y)) * np.sin(wave * y), -0.1, 0.1)
     elif kind == 1:
-        pattern = smoothstep(np.cos(2 * wave * x) + 0.35 * np.cos(9 * wave * x), 0.2, 0.35)
-        pattern = np.maximum(pattern, smoothstep(np.cos(wave * x) * np.cos(wave * y), 0.86, 0.9))
+        pattern = smooth_step(np.cos(2 * wave * x) + 0.35 * np.cos(9 * wave * x), 0.2, 0.35)
+        pattern = np.maximum(pattern, smooth_step(np.cos(wave * x) * np.cos(wave * y), 0.86, 0.9))
     elif kind == 2:
         leaf = np.abs(np.sin(wave * (x + y) / 2)) * np.abs(np.sin(wave * (x - y) / 2))
-        pattern = smoothstep(np.sin(5 * leaf * np.pi), 0.1, 0.5)
+        pattern = smooth_step(np.sin(5 * leaf * np.pi), 0.1, 0.5)
     else:
         row = np.floor(y / repeat * 2)
         u, v = np.mod(x + row * repeat / 2, repeat) / repeat - 0.5, np.mod(y, repeat / 2) / repeat * 2 - 0.5
-        pattern = smoothstep(np.hypot(u * 1.6, v), 0.42, 0.38) - smoothstep(np.hypot(u * 1.6, v), 0.25, 0.21)
+        pattern = smooth_step(np.hypot(u * 1.6, v), 0.42, 0.38) - smooth_step(np.hypot(u * 1.6, v), 0.25, 0.21)
     ground = colour(rng, (0.05, 0.3), (0.68, 0.86))
     image = _two_tone(pattern, ground, ground * rng.uniform(0.66, 0.8) * (1 + 0.1 * rng.standard_normal(3)))
     return grain.textured(image.astype(np.float32), 0.05, 0.05)
@@ -106,7 +107,7 @@ def poster(rng: np.random.Generator, grain: Grain, h: int, w: int) -> np.ndarray
         image = _two_tone(y, np.array([0.35, 0.5, 0.85], np.float32), np.array([0.95, 0.75, 0.55], np.float32))
         for k in range(5):
             ridge = 0.35 + 0.12 * k + 0.07 * fractal(plane(1, w, 1.0), w / (2.0 + k), 5, int(rng.integers(1 << 16)))[0]
-            below = smoothstep(y - ridge[None, :], 0, 2 / h)
+            below = smooth_step(y - ridge[None, :], 0, 2 / h)
             image = _two_tone(below, image, colour(rng, (0.2, 0.6), (0.1, 0.6)))
     elif kind == 2:
         image = np.full((h, w, 3), 0.82, np.float32)
@@ -121,7 +122,7 @@ def poster(rng: np.random.Generator, grain: Grain, h: int, w: int) -> np.ndarray
             centre, radius = (rng.random(2) * [h, w]), rng.uniform(0.03, 0.22) * w
             ring = np.abs(np.hypot(y * h - centre[0], x * w - centre[1]) - radius * 0.7)
             image = _two_tone(
-                smoothstep(ring, 0.3 * radius, 0.3 * radius - 2), image, colour(rng, (0.3, 0.9), (0.1, 1))
+                smooth_step(ring, 0.3 * radius, 0.3 * radius - 2), image, colour(rng, (0.3, 0.9), (0.1, 1))
             )
     image = grain.textured(image.astype(np.float32), 0.05, 0.06)
     edge = max(min(h, w) // 30, 2)
@@ -207,10 +208,10 @@ def cloth(rng: np.random.Generator, grain: Grain, h: int, w: int) -> np.ndarray:
     one, other = colour(rng, (0.05, 0.6), (0.25, 0.8)), colour(rng, (0.1, 0.7), (0.2, 0.9))
     period = h / rng.uniform(18, 40)
     kind = rng.integers(3)
-    stripes = smoothstep(np.sin(2 * np.pi * y / period), 0.3, 0.6)
+    stripes = smooth_step(np.sin(2 * np.pi * y / period), 0.3, 0.6)
     if kind == 1:
-        stripes = np.maximum(stripes, smoothstep(np.sin(2 * np.pi * x / period / 2), 0.6, 0.9)) * 0.7
+        stripes = np.maximum(stripes, smooth_step(np.sin(2 * np.pi * x / period / 2), 0.6, 0.9)) * 0.7
     elif kind == 2:
-        stripes = smoothstep(grain.cut(grain.coarse, h, w), 0.2, 0.5) * 0.8
+        stripes = smooth_step(grain.cut(grain.coarse, h, w), 0.2, 0.5) * 0.8
     knit = 0.13 * np.sin(2 * np.pi * y / 6) * np.sin(2 * np.pi * x / 6)
     return grain.textured(_two_tone(stripes, one, other) * (1 + knit[..., None]).astype(np.float32), 0.16, 0.06)

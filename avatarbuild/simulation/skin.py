@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from avatarbuild.geometry.smooth_step import smooth_step
 from avatarbuild.simulation.chart import Chart, filled, slopes
-from avatarbuild.simulation.noise import cells, fractal, smoothstep
+from avatarbuild.simulation.noise import cells, fractal
 
 _MELANIN = np.array([0.36, 0.62, 0.85], np.float32)
 _BLOOD = np.array([0.04, 0.46, 0.42], np.float32)
@@ -112,12 +113,12 @@ def paint(chart: Chart, person: Person) -> Surface:
     # Freckles thin out away from cheeks and nose; moles are few and raised.
     distance, label = cells(q, 3.2, next(seeds))
     likely = (0.12 + np.clip(1.3 * cheeks + tip + nose, 0, 1)) * min(person.freckles, 1)
-    freckle = (label < 0.5 * likely) * smoothstep(distance, 1.15, 0.35)
+    freckle = (label < 0.5 * likely) * smooth_step(distance, 1.15, 0.35)
     melanin += 0.75 * freckle * (0.5 + label)
     for k in rng.integers(0, len(q), int(rng.integers(10, 22))):
         radius = rng.uniform(0.5, 1.7)
         near, away = _around(q, q[k], radius * 1.25)
-        spot = smoothstep(away, radius * 1.25, radius * 0.65)
+        spot = smooth_step(away, radius * 1.25, radius * 0.65)
         melanin[near] += rng.uniform(0.7, 2.0) * spot
         relief[near] += 0.12 * radius * spot
     for k in rng.integers(0, len(q), 10):
@@ -130,7 +131,7 @@ def paint(chart: Chart, person: Person) -> Surface:
 
     # Lips: red with fine upright lines.
     lines = fractal(q * [1.0, 0.22, 0.22], 1.1, 2, next(seeds))
-    ragged = smoothstep(lips + 0.10 * middle, 0.32, 0.62)
+    ragged = smooth_step(lips + 0.10 * middle, 0.32, 0.62)
     blood += ragged * (1.25 + 0.22 * lines)
     melanin += ragged * (0.22 + 0.06 * lines)
     relief += ragged * 0.05 * lines
@@ -141,7 +142,7 @@ def paint(chart: Chart, person: Person) -> Surface:
     # Hair under the skin: the shaven scalp and the beard's shade.
     distance, label = cells(q, 0.75, next(seeds))
     dots = np.exp(-((distance / 0.2) ** 2)) * (0.3 + label)
-    scalp_share = smoothstep(scalp + 0.12 * fractal(q, 9.0, 3, next(seeds)), 0.35, 0.75)
+    scalp_share = smooth_step(scalp + 0.12 * fractal(q, 9.0, 3, next(seeds)), 0.35, 0.75)
     beard = person.stubble * _beard(q, landmarks) * (1 - np.clip(2 * lips, 0, 1))
     hairy = np.clip(scalp_share + beard, 0, 1)
     grey = 0.25 * hairy + 1.1 * dots * hairy
@@ -212,11 +213,11 @@ def chart_lines(chart: Chart, vertices: np.ndarray) -> list[np.ndarray]:
 def _beard(position: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
     """(n,) at positions (n, 3): 1 on jaw, chin and upper lip, fading into cheeks and neck."""
     nose, corner, chin = landmarks[2], landmarks[61], landmarks[152]
-    low = smoothstep(position[..., 1], nose[1] + 6 - 4, nose[1] - 8)
+    low = smooth_step(position[..., 1], nose[1] + 6 - 4, nose[1] - 8)
     middle = np.abs(position[..., 0]) / max(abs(corner[0]), 1.0)
-    high_cheek = smoothstep(position[..., 1] - 0.35 * (corner[1] - chin[1]) * middle, nose[1] + 22, nose[1] - 14)
-    neck = smoothstep(position[..., 1], chin[1] - 45, chin[1] - 10)
-    front = smoothstep(position[..., 2], -45, -15)
+    high_cheek = smooth_step(position[..., 1] - 0.35 * (corner[1] - chin[1]) * middle, nose[1] + 22, nose[1] - 14)
+    neck = smooth_step(position[..., 1], chin[1] - 45, chin[1] - 10)
+    front = smooth_step(position[..., 2], -45, -15)
     return (low * high_cheek * neck * front).astype(np.float32)
 
 
@@ -295,12 +296,12 @@ def _eye(offset: np.ndarray, person: Person, seed: int, grain: np.ndarray) -> np
     front = offset[:, 2] > 0
     veins = fractal(offset * [1.0, 1.0, 0.4], 3.0, 4, seed + 3)
     white = np.array([0.58, 0.53, 0.49]) * np.exp(0.03 * grain)[:, None]
-    away = smoothstep(radius, 6.5, 11.5)[:, None]
+    away = smooth_step(radius, 6.5, 11.5)[:, None]
     thin = np.exp(-((veins / 0.08) ** 2))[:, None] * away
     white = white * (1 - 0.5 * thin * [0.1, 0.9, 0.9]) * (1 - 0.12 * away * [0.3, 1, 1])
     spokes = fractal(np.stack([np.cos(angle) * 9, np.sin(angle) * 9, radius * 0.22], -1), 1.0, 3, seed + 5)
-    iris = 0.6 * person.iris * np.exp(0.45 * spokes)[:, None] * (1 + 0.7 * smoothstep(radius, 3.9, 2.5)[:, None])
-    iris = iris * (1 - 0.75 * smoothstep(radius, 5.0, 5.85)[:, None])
-    colours = white + (iris - white) * (front * smoothstep(radius, 6.1, 5.65))[:, None]
-    pupil = (front * smoothstep(radius, 2.15, 1.9))[:, None]
+    iris = 0.6 * person.iris * np.exp(0.45 * spokes)[:, None] * (1 + 0.7 * smooth_step(radius, 3.9, 2.5)[:, None])
+    iris = iris * (1 - 0.75 * smooth_step(radius, 5.0, 5.85)[:, None])
+    colours = white + (iris - white) * (front * smooth_step(radius, 6.1, 5.65))[:, None]
+    pupil = (front * smooth_step(radius, 2.15, 1.9))[:, None]
     return np.clip(colours * (1 - pupil) + 0.004 * pupil, 0.003, 0.9)

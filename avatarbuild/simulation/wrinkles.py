@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from avatarbuild.geometry.smooth_step import smooth_step
 from avatarbuild.simulation.chart import Chart, slopes
-from avatarbuild.simulation.noise import fractal, smoothstep
+from avatarbuild.simulation.noise import fractal
 
 # group -> the shapes that fold it, each with its share
 GROUPS: dict[str, dict[str, float]] = {
@@ -54,7 +55,7 @@ def gains(weights: dict[str, float]) -> dict[str, float]:
     found = {}
     for group, shapes in GROUPS.items():
         total = sum(share * max(weights.get(shape, 0.0), 0.0) for shape, share in shapes.items())
-        found[group] = 1.2 * float(smoothstep(np.array(total), 0.05, 1.1))
+        found[group] = 1.2 * float(smooth_step(np.array(total), 0.05, 1.1))
     return found
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from avatarbuild.artefacts import Albedo, Blendshapes, Cameras, Capture, Neutral, Performance
+from avatarbuild.artefacts import GOOD, Albedo, Blendshapes, Cameras, Capture, Neutral, Performance
 from avatarbuild.errors import InputError
 from avatarbuild.formats import video
 from avatarbuild.formats.corrections import Corrections
@@ -138,7 +138,7 @@ def run(
     figures = {
         "frames": len(clip.times),
         "processed": len(frames),
-        "good": int((quality >= 0.5).sum()),
+        "good": int((quality >= GOOD).sum()),
         "rounds": len(history),
         "moved_mm": history[-1]["moved_mm"] if history else 0.0,
         "focal": round(face.lens.focal, 1),

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from avatarbuild.geometry.smooth_step import smooth_step
 from avatarbuild.template import EYE_PARTS, MOUTH_PARTS, Template
 from avatarbuild.template_import.foreign import ForeignHead
 from avatarbuild.template_import.wrap import EXTENSION, Extension, Wrap, extension, wrap
@@ -127,8 +128,7 @@ def _eye(shipped: Template, side: str, mean: np.ndarray, identity: np.ndarray):
         centre = centre + np.linalg.solve(
             normal, u.T @ (length - distance[rim]) + LID_WEIGHT * len(rim) * (start - centre)
         )
-    t = np.clip((BALL[1] - distance) / (BALL[1] - BALL[0]), 0, 1)
-    hold = t * t * (3 - 2 * t)
+    hold = smooth_step(distance, BALL[1], BALL[0])
     ray = mean - centre
     length = np.linalg.norm(ray, axis=1)
     u = ray / np.maximum(length, 1e-9)[:, None]

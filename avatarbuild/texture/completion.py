@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 import scipy.sparse as sp
 
+from avatarbuild.geometry.smooth_step import smooth_step
 from avatarbuild.solvers.sparse import Factor
 from avatarbuild.template import EYE_PARTS, Template
 from avatarbuild.texture.chart import Chart, continued, draw_chart, seam_ties, texels_per_mm
@@ -120,7 +121,7 @@ def _weight(seen: np.ndarray, skin: np.ndarray, hidden: np.ndarray, soft: np.nda
     good = np.maximum(good, (~skin | hidden).astype(np.uint8))
     inside = cv2.distanceTransform(good, cv2.DIST_L2, 5) / scale
     t = np.clip((inside - np.minimum(0.5, 0.25 * soft)) / soft, 0, 1)
-    fade = t * t * (3 - 2 * t)
+    fade = smooth_step(t)
     sure = np.clip((seen - _SEEN_LOW) / (_SEEN_HIGH - _SEEN_LOW), 0, 1)
     from_rim = cv2.distanceTransform((~hidden).astype(np.uint8), cv2.DIST_L2, 5) / scale
     weight = np.minimum(np.minimum(fade, np.maximum(sure, t > 0.999)), np.clip(from_rim / _RIM, 0, 1))

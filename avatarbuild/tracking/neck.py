@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from avatarbuild.geometry.smooth_step import smooth_step
 from avatarbuild.template import ARKIT_NAMES, Template
 from avatarbuild.tracking.body import STILL, Motion, Patch
 
@@ -95,8 +96,7 @@ def bent(
     (n, 3) mm, head frame: x + b(y) (R^T (R' x + t' - t) - x), b = 3 s^2 - 2 s^3 with s from 0 to 1 between the heights
     (2,) at rest (n, 3): vertices of a posed head whose neck goes from the head's pose R, t to the torso's R', t'.
     """
-    s = np.clip((heights[0] - rest[:, 1]) / (heights[0] - heights[1]), 0, 1)
-    b = (s * s * (3 - 2 * s))[:, None]
+    b = smooth_step(rest[:, 1], heights[0], heights[1])[:, None]
     (R, t), (R_torso, t_torso) = head, torso
     return np.asarray((1 - b) * vertices + b * ((vertices @ R_torso.T + t_torso - t) @ R))
 
