@@ -25,9 +25,9 @@ from avatarbuild.options import DetailsOptions
 from avatarbuild.progress import Silent
 from avatarbuild.project import Project
 from avatarbuild.shading import maps
-from avatarbuild.shading.clip import fine_skin_of, posed
+from avatarbuild.shading.clip import posed
 from avatarbuild.shading.observation import at_uv
-from avatarbuild.shading.surface import draw
+from avatarbuild.shading.surface import draw, fine_skin
 from avatarbuild.stages import details
 from avatarbuild.template import Template
 from avatarbuild.tracking.lens import Lens
@@ -56,7 +56,7 @@ def main() -> None:
     made = details.run(capture, albedo, teaching, refinement, wanted, Silent(), template, a.capture)
     synthesis = read_details({n: b for n, b in made.files.items() if not n.startswith("frames/")}, template)
     head = replace(performance, neutral=refinement.neutral, deltas=refinement.deltas)
-    lens, skin = Lens(head.focal, head.k1, head.size), fine_skin_of(albedo, head, template)
+    lens, skin = Lens(head.focal, head.k1, head.size), fine_skin(template, albedo.albedo)
     chart = maps.face_chart(template, synthesis.side)
     rows = []
     for key, number in zip(keys, numbers, strict=True):

@@ -42,7 +42,6 @@ from avatarbuild.simulation.studio import Head, build_head, posed_head
 from avatarbuild.simulation.subject import random_subject
 from avatarbuild.simulation.wrinkles import gains
 from avatarbuild.template import ARKIT_NAMES, Template
-from avatarbuild.texture import occlusion
 from avatarbuild.tracking.lens import Lens
 
 FIRST = 3000  # seed of the first person
@@ -122,14 +121,12 @@ class Face:
 
     def _watch(self) -> Watched:
         t, subject = self.t, self.head.subject
-        rest = subject.posed(np.zeros(len(t.expression_names)))
-        open_, _ = occlusion.of_vertices(rest, t.triangles, t.parts["skin"].vertices)
         texel = 0.2  # mm, of the chart
         x, y = (MISPLACED / texel * _field(TEXTURE, self.seed + k) for k in range(2))
         rows, columns = np.mgrid[0:TEXTURE, 0:TEXTURE].astype(np.float32)
         albedo = cv2.remap(self.head.surface.albedo, columns + x, rows + y, cv2.INTER_LINEAR)
         known = encode_srgb(albedo)
-        skin = fine_skin(t, known, open_)
+        skin = fine_skin(t, known)
         R, shift = self.camera.R, self.camera.t
         views = []
         for k, i in enumerate(self.rows):

@@ -31,11 +31,11 @@ def bulge() -> np.ndarray:
 @cache
 def picture(i: int) -> np.ndarray:
     template = synthetic.template()
-    skin = fine_skin(template, albedo().albedo, np.ones(template.vertex_count))
+    skin = fine_skin(template, albedo().albedo)
     posed = shapes().neutral + np.tensordot(weights()[i], shapes().deltas.astype(float), 1)
     posed[:, 2] += weights()[i, BROWS[0]] * bulge()
     drawn = draw(skin, posed, LENS, R, T, 1, whole=True)
-    grey = np.where(drawn.on, 0.55 * np.exp(drawn.tone) * LIGHT.shade(drawn.normal), 0.1)
+    grey = np.where(drawn.on, 0.55 * np.exp(drawn.tone) * LIGHT.shade(drawn), 0.1)
     return np.repeat(encode_srgb(grey)[..., None], 3, axis=2)
 
 

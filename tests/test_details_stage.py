@@ -20,6 +20,7 @@ from avatarbuild.options import DetailsOptions, RefinementOptions
 from avatarbuild.progress import Silent
 from avatarbuild.report.wrinkles import wrinkles_section
 from avatarbuild.shading.light import Light
+from avatarbuild.shading.sky import DIRECTIONS
 from avatarbuild.shading.surface import draw, fine_skin, normals_of_all
 from avatarbuild.simulation.noise import fractal
 from avatarbuild.stages import avatar, details, refinement
@@ -29,7 +30,7 @@ from avatarbuild.tracking.neck import UNBENT
 
 SIZE = (180, 240)
 LENS = Lens(310.0, 0.0, SIZE)
-LIGHT = Light(np.array([0.7, 0.3, -0.8, -0.8, 0.05, 0.02, -0.03, 0.04, 0.05]), np.ones(1))
+LIGHT = Light(0.4 + 3.0 * np.maximum(DIRECTIONS @ [0.3, -0.7, -0.65], 0) ** 3, 0.2, np.ones(1))
 R, T = np.diag([1.0, -1, -1]), np.array([0.0, 0, 420])
 FRAMES = 6
 BROWS = [ARKIT_NAMES.index(name) for name in ("browInnerUp", "browOuterUpLeft", "browOuterUpRight")]
@@ -71,7 +72,7 @@ def albedo() -> Albedo:
 def picture(i: int) -> np.ndarray:
     """(H, W, 3) uint8: the head lit, with furrows across the forehead where the brows are up."""
     template = synthetic.template()
-    skin = fine_skin(template, albedo().albedo, np.ones(template.vertex_count))
+    skin = fine_skin(template, albedo().albedo)
     posed = shapes().neutral + np.tensordot(weights()[i], shapes().deltas.astype(float), 1)
     drawn = draw(skin, posed, LENS, R, T, 1, whole=True)
     normal = drawn.normal.copy()
@@ -80,7 +81,7 @@ def picture(i: int) -> np.ndarray:
         high = np.exp(-(((head[..., 1] - 40) / 14) ** 2)) * np.exp(-((head[..., 0] / 30) ** 4))
         normal[..., 1] += 0.7 * high * np.sin(2 * np.pi * head[..., 1] / 14)
         normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
-    grey = np.where(drawn.on, 0.55 * np.exp(drawn.tone) * LIGHT.shade(normal), 0.1)
+    grey = np.where(drawn.on, 0.55 * np.exp(drawn.tone) * LIGHT.field(drawn).shade(normal), 0.1)
     return np.repeat(encode_srgb(grey)[..., None], 3, axis=2)
 
 
@@ -125,7 +126,7 @@ def test_refinement_leaves_true_shapes_nearly_alone() -> None:
 
 def test_eyeballs_hide_their_sockets() -> None:
     template = synthetic.template()
-    skin = fine_skin(template, albedo().albedo, np.ones(template.vertex_count))
+    skin = fine_skin(template, albedo().albedo)
     head = shapes().neutral
     whole = draw(skin, head, LENS, R, T, 1, whole=True)
     normal = normals_of_all(template, whole, head, LENS, R, T)

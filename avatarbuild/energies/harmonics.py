@@ -13,15 +13,6 @@ def basis(normals: np.ndarray) -> np.ndarray:
     return np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x - y * y, 3 * z * z - 1], axis=-1)
 
 
-def gradient(normals: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """d(y^T phi(n))/dn: (…, 3) of normals (…, 3), y (9,)."""
-    x, y_, z = np.moveaxis(np.asarray(normals), -1, 0)
-    along_x = y[1] + y[4] * y_ + y[5] * z + 2 * y[7] * x
-    along_y = y[2] + y[4] * x + y[6] * z - 2 * y[7] * y_
-    along_z = y[3] + y[5] * x + y[6] * y_ + 6 * y[8] * z
-    return np.stack([along_x, along_y, along_z], axis=-1)
-
-
 def normal_equations(
     design: np.ndarray, target: np.ndarray, weight: np.ndarray, ridge: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -6,12 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from avatarbuild.artefacts import Albedo, Capture, Clip, Performance
+from avatarbuild.artefacts import Capture, Clip, Performance
 from avatarbuild.progress import Progress
 from avatarbuild.shading.observation import View, Watched, watch
-from avatarbuild.shading.surface import FineSkin, factor_for, fine_skin
+from avatarbuild.shading.surface import FineSkin, factor_for
 from avatarbuild.template import Template
-from avatarbuild.texture import occlusion
 from avatarbuild.tracking.lens import Lens
 from avatarbuild.tracking.neck import bent
 
@@ -24,12 +23,6 @@ def good_frames(performance: Performance) -> np.ndarray:
     as the texture's flow does.
     """
     return np.flatnonzero(performance.modelled & performance.good[performance.processed])
-
-
-def fine_skin_of(albedo: Albedo, performance: Performance, template: Template) -> FineSkin:
-    """The skin to draw, with the openness of the head at rest."""
-    open_, _ = occlusion.of_vertices(performance.neutral, template.triangles, template.parts["skin"].vertices)
-    return fine_skin(template, albedo.albedo, open_)
 
 
 def watched_clip(

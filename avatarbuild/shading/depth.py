@@ -17,9 +17,10 @@ from avatarbuild.parallel import each_alone
 from avatarbuild.progress import Progress
 from avatarbuild.rigging import kept
 from avatarbuild.shading import registration
-from avatarbuild.shading.clip import fine_skin_of, posed, watched_clip
+from avatarbuild.shading.clip import posed, watched_clip
 from avatarbuild.shading.observation import Watched
 from avatarbuild.shading.relief import MEDIUM, light_seen, relief
+from avatarbuild.shading.surface import fine_skin
 from avatarbuild.template import Template
 from avatarbuild.tracking.alternation import as_shown
 from avatarbuild.tracking.fit import State
@@ -61,7 +62,7 @@ def told(
     states = [State(R, t, w) for R, t, w in zip(*poses, performance.weights[numbers, :SHAPES], strict=True)]
     sight = -np.mean([s.R.T @ s.t / np.linalg.norm(s.t) for s in states], axis=0)
     axis, freedom = sight / np.linalg.norm(sight), replace(registration.FREEDOM, worth=worth)
-    skin = fine_skin_of(albedo, performance, template)
+    skin = fine_skin(template, albedo.albedo)
     watched = watched_clip(capture, performance, rows, template, skin, pixel, progress, "The light on the face")
 
     def asked(k: int) -> registration.Planes:

@@ -90,7 +90,7 @@ def watch(
 def align(row: int, drawn: Drawn, grey: np.ndarray, light: Light, gain: float, more: np.ndarray | None = None) -> Seen:
     """The picture `grey` (h, w) moved by the smooth part of the dense flow from the lit drawing to it."""
     tone = drawn.tone if more is None else drawn.tone + more
-    expected = np.log(gain * light.shade(drawn.normal) * np.exp(tone) + _SHADOW).astype(np.float32)
+    expected = np.log(gain * light.shade(drawn) * np.exp(tone) + _SHADOW).astype(np.float32)
     ours, theirs = levelled(expected, drawn.on), levelled(np.log(grey + _SHADOW), drawn.on)
     there, apart = flow_there_and_back(ours, theirs)
     trust = (drawn.on * np.exp(-((apart / _AGREE) ** 2))).astype(np.float32)
@@ -111,7 +111,7 @@ def what_all_share(frames: list[Seen], light: Light) -> np.ndarray:
     for k, one in enumerate(frames):
         drawn = one.drawn
         on = (cv2.erode(drawn.on.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0) & (one.grey > 0)
-        expected = light.gains[k] * light.shade(drawn.normal) * np.exp(drawn.tone)
+        expected = light.gains[k] * light.shade(drawn) * np.exp(drawn.tone)
         off = np.log(np.maximum(one.grey[on], 1e-3) / expected[on])
         column, row = np.clip(drawn.uv[on] * [_CHART, -_CHART] + [0, _CHART], 0, _CHART - 1).astype(np.int64).T
         at, weight = row * _CHART + column, drawn.facing[on]

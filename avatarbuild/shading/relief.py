@@ -5,11 +5,11 @@ Shape from shading: displacements d along the view rays that explain the light o
   n = (n0 + Ex d_x + Ey d_y) / |…|,   Ex = v x p0_y / |p0_x x p0_y|,   Ey = p0_x x v / |p0_x x p0_y|          (12)
   min_d  |D B (s(n) - s)/s|^2 + b |B (s(n) - s)/s|^2 + m1 |d|^2 + m2 |D d|^2 + m3 |L d|^2                      (13)
 
-with s the light that the frame shows (its grey over albedo, openness and exposure), and D, L the differences per
+with s the light that the frame shows (its grey over albedo and exposure), and D, L the differences per
 millimetre. Against the paper:
-- s(n) = y^T phi(n) (1 - k H d), H d = d - G d with a Gaussian G: hollows are dark. A furrow sees less of the room than
-  the skin about it, which under soft light from the front is all that shows it; without the term its dark line is
-  taken for a slope.
+- s(n) is the light of shading/light.py, times 1 - k H d, H d = d - G d with a Gaussian G: hollows are dark. A furrow
+  sees less of the room than the skin about it, which under soft light from the front is all that shows it; without
+  the term its dark line is taken for a slope.
 - Residuals are shares of the light; b, a weak term on the light itself, stands where the paper has none (the albedo is
   freed of what all frames have in common, so that it can be trusted); B, a Gaussian, is the light's way through the
   skin, which blurs what wrinkles show. n0 are the smooth mesh's own normals, p0_x and p0_y lie in its tangent plane.
@@ -25,8 +25,7 @@ import cv2
 import numpy as np
 import scipy.fft
 
-from avatarbuild.energies import harmonics
-from avatarbuild.shading.light import Light
+from avatarbuild.shading.light import Field, Light
 from avatarbuild.shading.surface import Drawn
 from avatarbuild.solvers.sparse import conjugate_gradients
 from avatarbuild.tracking.lens import Lens
@@ -66,7 +65,7 @@ class ReliefWeights:
     steps: int = 40
 
 
-MEDIUM = ReliefWeights(light=30.0, small=0.01, slope=3.0, bend=1.0, scatter=0.0, hollow=0.1, reach=4.0)
+MEDIUM = ReliefWeights(light=30.0, small=0.01, slope=1.0, bend=1.0, scatter=0.0, hollow=0.1, reach=4.0)
 """For the refinement of shapes: what a mesh of a few millimetres' spacing can follow; scattered light is finer. How
 bright a place is counts more than how its brightness changes: what the albedo gets wrong all frames have in common."""
 FINE = ReliefWeights(light=0.3, small=0.005, slope=0.1, bend=0.1, hollow=1.0, apart=0.1)
@@ -92,7 +91,8 @@ def relief(drawn: Drawn, seen: np.ndarray, light: Light, lens: Lens, w: ReliefWe
     on = drawn.on.astype(np.float64)
     seen = np.where(drawn.on, seen, 1.0).astype(np.float64)
     ways = _Ways.of(drawn, lens)
-    off = np.log(seen / light.shade(drawn.normal))
+    field = light.field(drawn)
+    off = np.log(seen / field.shade(drawn.normal))
     inner = cv2.erode(drawn.on.astype(np.uint8), np.ones((_RIM, _RIM), np.uint8))
     sure = inner / (1 + (off / _OUTLIER) ** 2)
     if w.apart:
@@ -114,7 +114,7 @@ def relief(drawn: Drawn, seen: np.ndarray, light: Light, lens: Lens, w: ReliefWe
         return (_dx_t(beside_x * _dx(e)) + _dy_t(beside_y * _dy(e))) / h2 + w.light * sure * e
 
     for turn in range(w.rounds):
-        along_x, along_y, bare = ways.slopes(d, light)
+        along_x, along_y, bare = ways.slopes(d, field)
         open_ = np.clip(1 - w.hollow * hollow(d), *_OPEN) if w.hollow else np.ones_like(on)
         along_x, along_y, light_now, darker = along_x * open_, along_y * open_, bare * open_, w.hollow * bare
         # the blur goes over shares of the light: dark pixels must not hang on what their bright neighbours change
@@ -197,14 +197,14 @@ class _Ways:
         n = self.turned(d)
         return n / np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), _TINY)
 
-    def slopes(self, d: np.ndarray, light: Light) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def slopes(self, d: np.ndarray, field: Field) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """ds/dd_x, ds/dd_y and s, all (h, w)."""
         m = self.turned(d)
         length = np.maximum(np.linalg.norm(m, axis=-1, keepdims=True), _TINY)
         n = m / length
-        g = harmonics.gradient(n, light.y)
+        s, g = field.change(n)
         g = (g - n * (g * n).sum(axis=-1, keepdims=True)) / length
-        return (g * self.Ex).sum(axis=-1), (g * self.Ey).sum(axis=-1), harmonics.basis(n) @ light.y
+        return (g * self.Ex).sum(axis=-1), (g * self.Ey).sum(axis=-1), s
 
 
 @dataclass(frozen=True)

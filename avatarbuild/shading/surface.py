@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from avatarbuild.geometry.meshes import vertex_normals
 from avatarbuild.geometry.mipmap import Mipmap, build_mipmap, sample_texture
 from avatarbuild.geometry.raster import interpolate, rasterise
+from avatarbuild.shading.sky import sky
 from avatarbuild.template import Template
 from avatarbuild.texture.photos import linear_picture
 from avatarbuild.tracking.lens import Lens
@@ -34,7 +35,8 @@ class FineSkin:
     """
     The template's skin after two levels of Loop subdivision: smooth (m, n) takes its n vertices to the m fine ones,
     triangles (16 t, 3), uv (k, 2), uv_triangles (16 t, 3), face (16 t,) bool: the face's, outside mouth and sockets;
-    texture: the logarithm of the albedo's GREY; open (m,) ambient openness at rest.
+    texture: the logarithm of the albedo's GREY. head (q, 3): the triangles of the whole head, which cast shadows; near
+    (v,): the vertices of which the face's fine ones are made, by `reach` (m, v).
     """
 
     smooth: sp.csr_matrix
@@ -43,7 +45,9 @@ class FineSkin:
     uv_triangles: np.ndarray
     face: np.ndarray
     texture: Mipmap
-    open: np.ndarray
+    head: np.ndarray
+    near: np.ndarray
+    reach: sp.csr_matrix
 
     def positions(self, vertices: np.ndarray) -> np.ndarray:
         """(m, 3) of a head's vertices (n or more, 3), the skin's first."""
@@ -54,8 +58,9 @@ class FineSkin:
 class Drawn:
     """
     The head at the pixels of a crop, each `factor` frame pixels wide: corner (2,) frame pixels; point (h, w, 3)
-    mm and unit normal (h, w, 3) in camera axes, zero beside the head; uv (h, w, 2); tone (h, w) logarithm of what the
-    albedo and the openness make of a light of 1; facing (h, w) cosine to the ray; on (h, w) bool the face's evidence.
+    mm and unit normal (h, w, 3) in camera axes, zero beside the head; uv (h, w, 2); tone (h, w) logarithm of the
+    albedo; facing (h, w) cosine to the ray; on (h, w) bool the face's evidence; triangle (h, w) and barycentric (h, w,
+    3) of `skin`, the fine one; sky (v, D) bool: the directions that its vertices `near` see.
     """
 
     factor: int
@@ -66,6 +71,10 @@ class Drawn:
     tone: np.ndarray
     facing: np.ndarray
     on: np.ndarray
+    triangle: np.ndarray
+    barycentric: np.ndarray
+    skin: FineSkin
+    sky: np.ndarray
 
     @property
     def size(self) -> tuple[int, int]:
@@ -76,9 +85,17 @@ class Drawn:
         """(…, 2) frame pixels (first centre at 0.5) to array coordinates of the crop (first centre at 0)."""
         return (frame_pixels - self.corner) / self.factor - 0.5
 
+    def sky_at(self, at: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        """(p, D) float32: how much of each direction is seen at some of the pixels, whose rows and columns are `at`."""
+        corners, share = self.skin.triangles[self.triangle[at]], self.barycentric[at]
+        row = np.repeat(np.arange(len(corners)), 3)
+        shape = len(corners), self.skin.reach.shape[0]
+        spread = sp.csr_matrix((share.ravel(), (row, corners.ravel())), shape=shape) @ self.skin.reach
+        return np.asarray(spread.astype(np.float32) @ self.sky.astype(np.float32))
 
-def fine_skin(template: Template, albedo: np.ndarray, open_: np.ndarray) -> FineSkin:
-    """albedo (s, s, 3) uint8 sRGB; open_ (n,) ambient openness of the vertices at rest."""
+
+def fine_skin(template: Template, albedo: np.ndarray) -> FineSkin:
+    """albedo (s, s, 3) uint8 sRGB."""
     part = template.parts["skin"]
     count = part.vertices.stop
     triangles = template.triangles[part.triangles].astype(np.int64)
@@ -93,8 +110,13 @@ def fine_skin(template: Template, albedo: np.ndarray, open_: np.ndarray) -> Fine
     grey = cv2.resize(linear_picture(albedo) @ GREY, (_CHART, _CHART), interpolation=cv2.INTER_AREA)
     texture = build_mipmap(np.log(grey + np.float32(1e-3))[..., None])
     face = np.repeat(flow_region(template)[part.triangles], 4**_LEVELS)
-    open_fine = np.clip(smooth @ open_[:count], 0.2, 1)
-    return FineSkin(smooth, triangles, plain @ template.uv, uv_triangles, face, texture, open_fine)
+    shown = np.zeros(smooth.shape[0], bool)
+    shown[triangles[face]] = True
+    near = np.flatnonzero(shown @ smooth)
+    reach = sp.csr_matrix(smooth[:, near])
+    return FineSkin(
+        smooth, triangles, plain @ template.uv, uv_triangles, face, texture, template.triangles, near, reach
+    )
 
 
 def draw(
@@ -117,20 +139,17 @@ def draw(
     at = (pixels - first) / factor
     raster = rasterise(at, camera[:, 2], skin.triangles, (int(w), int(h)))
     normals = vertex_normals(camera, skin.triangles)
-    fields = interpolate(
-        np.concatenate([camera, normals, skin.open[:, None]], axis=1),
-        skin.triangles,
-        raster.triangle,
-        raster.barycentric,
-    )
-    point, normal = fields[..., :3], fields[..., 3:6]
+    fields = interpolate(np.concatenate([camera, normals], axis=1), skin.triangles, raster.triangle, raster.barycentric)
+    point, normal = fields[..., :3], fields[..., 3:]
     normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), _TINY)
     uv = interpolate(skin.uv, skin.uv_triangles, raster.triangle, raster.barycentric)
     grey = sample_texture(skin.texture, raster, at, camera[:, 2], skin.triangles, skin.uv, skin.uv_triangles)[..., 0]
     facing = -(normal * point).sum(axis=-1) / np.maximum(np.linalg.norm(point, axis=-1), _TINY)
     on = np.append(skin.face, False)[raster.triangle] & (facing > _FACING)
-    tone = np.where(on, grey + np.log(np.maximum(fields[..., 6], 0.2)), 0).astype(np.float32)
-    return Drawn(factor, first, point, normal.astype(np.float32), uv, tone, facing.astype(np.float32), on)
+    tone = np.where(on, grey, 0).astype(np.float32)
+    above = sky(vertices @ R.T + t, skin.head, skin.near)
+    seen = point, normal.astype(np.float32), uv, tone, facing.astype(np.float32), on
+    return Drawn(factor, first, *seen, raster.triangle, raster.barycentric, skin, above)
 
 
 def normals_of_all(

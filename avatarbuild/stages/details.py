@@ -25,11 +25,11 @@ from avatarbuild.options import DetailsOptions
 from avatarbuild.parallel import each_alone
 from avatarbuild.progress import Progress
 from avatarbuild.shading import maps
-from avatarbuild.shading.clip import LEAST_FRAMES, fine_skin_of, good_frames, posed, watched_clip
+from avatarbuild.shading.clip import LEAST_FRAMES, good_frames, posed, watched_clip
 from avatarbuild.shading.light import exposure
 from avatarbuild.shading.observation import Seen, Watched, align, moved
 from avatarbuild.shading.relief import FINE, Relief, light_seen, relief
-from avatarbuild.shading.surface import FineSkin, draw, normals_of_all, picture
+from avatarbuild.shading.surface import FineSkin, draw, fine_skin, normals_of_all, picture
 from avatarbuild.template import Template
 from avatarbuild.texture.static_detail import plain_skin
 from avatarbuild.tracking.lens import Lens
@@ -65,7 +65,7 @@ def run(
             warnings.append(f"{len(rows)} good frames: {LEAST_FRAMES} are needed for wrinkles; there are none")
         return Details({}, {"frames": 0}, warnings)
     lens = Lens(performance.focal, performance.k1, performance.size)
-    skin = fine_skin_of(albedo, performance, template)
+    skin = fine_skin(template, albedo.albedo)
     watched = watched_clip(capture, performance, rows, template, skin, options.pixel, progress, "The light on the skin")
     chart = maps.face_chart(template, options.side)
     heads = [posed(performance, int(performance.processed[row]), int(row)) for row in rows]

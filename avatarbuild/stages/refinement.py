@@ -50,7 +50,7 @@ def run(
     }
     log.info("refinement: %s", figures)
     light = found.watched.light
-    return Refinement(found.neutral, found.deltas.astype(np.float32), light.y, light.gains, moved, figures)
+    return Refinement(found.neutral, found.deltas.astype(np.float32), light.harmonics(), light.gains, moved, figures)
 
 
 def untouched(performance: Performance, warnings: list[str]) -> Refinement:

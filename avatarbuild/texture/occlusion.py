@@ -1,4 +1,4 @@
-"""How much of the sky a point of the head sees, and in which mean direction: ambient occlusion by rays."""
+"""How much of the sky a point of the head sees, in which mean direction, and which parts of it: by rays."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from avatarbuild.geometry.meshes import vertex_normals
 
 RAYS = 144
 _LIFT = 0.15  # mm along the normal: rays must not meet the triangles that they start from
+_CLEAR = 0.5  # the same, of flat triangles that stand for skin whose shadows are soft
+_HORIZON = -0.3
 _STEP = 12  # rays of every point in one query
 _GOLDEN = np.pi * (3 - np.sqrt(5))
 
@@ -62,6 +64,20 @@ def of_vertices(
     open_, bent = np.ones(len(vertices)), normals.copy()
     open_[only], bent[only] = ambient(vertices, triangles, vertices[only], normals[only], rays)
     return open_, bent
+
+
+def seen(
+    vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, normals: np.ndarray, directions: np.ndarray
+) -> np.ndarray:
+    """
+    (k, d) bool: V of unit directions (d, 3) at points with unit normals (k, 3), mm; False well below the horizon, where
+    no neighbour's normal looks.
+    """
+    scene = RayMeshIntersector(trimesh.Trimesh(vertices, triangles, process=False))
+    point, way = np.nonzero(normals @ directions.T > _HORIZON)
+    free = np.zeros((len(points), len(directions)), bool)
+    free[point, way] = ~scene.intersects_any(points[point] + _CLEAR * normals[point], directions[way])
+    return free
 
 
 def between_skin(open_: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
